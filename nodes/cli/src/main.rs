@@ -1,0 +1,2 @@
+//! The one binary, `pseudoflow`.
+fn main() {}
