@@ -68,19 +68,14 @@ impl Intrinsics {
     #[must_use]
     pub fn project(&self, point_in_camera: &Point3<f64>) -> Option<Point2<f64>> {
         let z = point_in_camera.z;
-        (z > 1e-9).then(|| {
-            Point2::new(self.fx * point_in_camera.x / z + self.cx, self.fy * point_in_camera.y / z + self.cy)
-        })
+        (z > 1e-9)
+            .then(|| Point2::new(self.fx * point_in_camera.x / z + self.cx, self.fy * point_in_camera.y / z + self.cy))
     }
 
     /// The point at `depth_m` (along z, metres) that a pixel sees.
     #[must_use]
     pub fn unproject(&self, pixel: &Point2<f64>, depth_m: f64) -> Point3<f64> {
-        Point3::new(
-            (pixel.x - self.cx) / self.fx * depth_m,
-            (pixel.y - self.cy) / self.fy * depth_m,
-            depth_m,
-        )
+        Point3::new((pixel.x - self.cx) / self.fx * depth_m, (pixel.y - self.cy) / self.fy * depth_m, depth_m)
     }
 }
 

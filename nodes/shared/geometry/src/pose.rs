@@ -10,7 +10,9 @@ pub enum PoseError {
     #[error("the pose has a number that is not finite")]
     NotFinite,
     /// The matrix is not orthonormal, or mirrors.
-    #[error("the 3 x 3 matrix is not a rotation: R R^T differs from 1 by {orthogonality:.2e}, det R = {determinant:.4}")]
+    #[error(
+        "the 3 x 3 matrix is not a rotation: R R^T differs from 1 by {orthogonality:.2e}, det R = {determinant:.4}"
+    )]
     NotRotation {
         /// Largest absolute entry of `R R^T - 1`.
         orthogonality: f64,
@@ -35,7 +37,10 @@ pub fn pose_from_row_major(rotation: &[f64; 9], translation_m: &[f64; 3]) -> Res
         return Err(PoseError::NotRotation { orthogonality, determinant });
     }
     let nearest = nearest_rotation(&matrix);
-    Ok(Pose::from_parts(Translation3::from(Vector3::from(*translation_m)), UnitQuaternion::from_rotation_matrix(&nearest)))
+    Ok(Pose::from_parts(
+        Translation3::from(Vector3::from(*translation_m)),
+        UnitQuaternion::from_rotation_matrix(&nearest),
+    ))
 }
 
 /// The rotation nearest to a matrix in the Frobenius norm (orthogonal Procrustes).

@@ -1,0 +1,66 @@
+use crate::Message;
+use crate::layout::{Length, MalformedMessage, Reader, Writer};
+use bytemuck::{Pod, Zeroable};
+
+/// What stands before the flow.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct FlowFieldsHeader {
+    /// Fields in the message, in the order of the views they were computed for.
+    pub fields: u32,
+    /// Width and height, pixels.
+    pub size_px: u32,
+    /// Count of the weights in use: 0 for those of the start, one more with each swap.
+    pub weights_version: u64,
+}
+
+/// Flow from each rendered reference to the real crop.
+///
+/// Producer: flow. Consumers: pnp, consistency. Field v belongs to view v of the frame's `ReferenceViews`.
+#[derive(Debug, Clone, Copy)]
+pub struct FlowFields<'a> {
+    /// Count, size, weights.
+    pub header: &'a FlowFieldsHeader,
+    /// `fields x S x S x 2`: dx, dy in crop pixels, defined on the rendered image.
+    pub flow_px: &'a [f32],
+}
+
+/// [`FlowFields`] being written.
+#[derive(Debug)]
+pub struct FlowFieldsMut<'a> {
+    /// `fields x S x S x 2`.
+    pub flow_px: &'a mut [f32],
+}
+
+fn values(header: &FlowFieldsHeader) -> usize {
+    header.fields as usize * (header.size_px as usize).pow(2) * 2
+}
+
+impl FlowFields<'_> {
+    /// Bytes of a message with this header.
+    #[must_use]
+    pub fn byte_len(header: &FlowFieldsHeader) -> usize {
+        Length::default().and::<FlowFieldsHeader>(1).and::<f32>(values(header)).bytes()
+    }
+
+    /// Writes the header and hands out the field.
+    ///
+    /// # Panics
+    /// When `bytes` is shorter than [`Self::byte_len`] or not aligned to 64 bytes.
+    pub fn write(bytes: &mut [u8], header: FlowFieldsHeader) -> FlowFieldsMut<'_> {
+        let mut writer = Writer::new(bytes);
+        writer.one(header);
+        FlowFieldsMut { flow_px: writer.array(values(&header)) }
+    }
+}
+
+impl Message for FlowFields<'static> {
+    const TYPE_NAME: &'static str = "FlowFields@1";
+    type View<'a> = FlowFields<'a>;
+
+    fn view(bytes: &[u8]) -> Result<FlowFields<'_>, MalformedMessage> {
+        let mut reader = Reader::new(Self::TYPE_NAME, bytes)?;
+        let header = reader.one::<FlowFieldsHeader>("header")?;
+        Ok(FlowFields { header, flow_px: reader.array("flow_px", values(header))? })
+    }
+}

@@ -1,0 +1,203 @@
+use crate::Context;
+use pseudoflow_msgs::{AlignedBytes, FrameKey, MalformedMessage, Message};
+use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
+
+/// What goes wrong inside a node: the node's own error, whatever its type. The runtime adds node, frame and graph.
+pub type NodeError = Box<dyn std::error::Error + Send + Sync>;
+
+/// What a node is for the runtime's delivery.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    /// Makes frames on demand, any of them again at any time: [`Node::produce`]. The runtime holds its window.
+    ReplaySource,
+    /// Makes frames when the world does: [`Node::poll`].
+    LiveSource,
+    /// Messages in, messages out, one of each port per frame.
+    Transform,
+    /// The end of the line: when its `process` returns, the frame is safe and is acknowledged to the source.
+    Sink,
+}
+
+/// One named port of a node kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PortSpec {
+    /// The name that graphs use.
+    pub name: &'static str,
+    /// [`Message::TYPE_NAME`] of what it carries.
+    pub message: &'static str,
+    /// Whether a graph must connect it (inputs only).
+    pub required: bool,
+}
+
+impl PortSpec {
+    /// A port that carries `M` and must be connected.
+    #[must_use]
+    pub const fn required<M: Message>(name: &'static str) -> Self {
+        Self { name, message: M::TYPE_NAME, required: true }
+    }
+
+    /// A port that carries `M` and may stay open.
+    #[must_use]
+    pub const fn optional<M: Message>(name: &'static str) -> Self {
+        Self { name, message: M::TYPE_NAME, required: false }
+    }
+}
+
+/// What a source did when it was asked for a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Produced {
+    /// The frame was sent on every output.
+    Frame(FrameKey),
+    /// There is nothing yet; ask again.
+    Nothing,
+    /// There is no such frame: the recording ends before it.
+    End,
+}
+
+/// A node: a deterministic function of its inputs, its configuration and its state.
+///
+/// It reads no clock and no global random source: both come from the [`Context`]. It never sees the middleware.
+pub trait Node: Sized {
+    /// The name that graphs use: `flow`, `pnp`, ...
+    const KIND: &'static str;
+    /// How the runtime treats it.
+    const ROLE: Role;
+    /// Its block in the graph's YAML; unknown keys must be refused (`deny_unknown_fields`).
+    type Config: DeserializeOwned + JsonSchema;
+
+    /// Ports that messages come in by.
+    fn inputs() -> Vec<PortSpec>;
+    /// Ports that messages go out by.
+    fn outputs() -> Vec<PortSpec>;
+
+    /// Checks what types cannot say about a configuration (ranges, files that must exist). `pseudoflow check`
+    /// calls it before anything starts.
+    ///
+    /// # Errors
+    /// One that names field, value and remedy.
+    fn check(config: &Self::Config) -> Result<(), NodeError>;
+
+    /// Makes the node: loads models, opens devices, warms up.
+    ///
+    /// # Errors
+    /// Whatever keeps it from working.
+    fn create(config: Self::Config, context: &Context) -> Result<Self, NodeError>;
+
+    /// Handles one frame: all connected inputs of it are there. Must send each connected output once.
+    ///
+    /// # Errors
+    /// What no other frame would heal; the run stops with it. A frame that cannot be used is no error: say so in
+    /// the messages that go out.
+    fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError>;
+
+    /// Replay sources: makes frame `index` (any index, also an earlier one again: after a consumer's death).
+    ///
+    /// # Errors
+    /// What keeps the recording from being read on.
+    fn produce(&mut self, index: u64, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
+        let _ = (index, outputs, context);
+        Ok(Produced::End)
+    }
+
+    /// Live sources: sends what has come from outside since the last call, without waiting.
+    ///
+    /// # Errors
+    /// What keeps the outside from being read on.
+    fn poll(&mut self, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
+        let _ = (outputs, context);
+        Ok(Produced::Nothing)
+    }
+
+    /// Called once when the run ends in order: flush and close files here.
+    ///
+    /// # Errors
+    /// What could not be kept.
+    fn finish(&mut self, context: &Context) -> Result<(), NodeError> {
+        let _ = context;
+        Ok(())
+    }
+}
+
+/// The messages of one frame.
+pub trait Inputs {
+    /// The frame.
+    fn key(&self) -> FrameKey;
+    /// The message that came by a port; `None` when the graph leaves the port open.
+    fn bytes(&self, port: &str) -> Option<&[u8]>;
+}
+
+/// Where a node's messages go.
+pub trait Outputs {
+    /// Sends a message of `len` bytes; `fill` writes it in place (zeroed or not: write all of it). A port that
+    /// the graph leaves open costs nothing: `fill` is not called.
+    ///
+    /// # Errors
+    /// When no memory could be had or the port does not exist.
+    fn send(&mut self, port: &str, key: FrameKey, len: usize, fill: &mut dyn FnMut(&mut [u8]))
+    -> Result<(), NodeError>;
+    /// Whether somebody is connected: large extras need not be computed for nobody.
+    fn is_connected(&self, port: &str) -> bool;
+}
+
+/// Reads a required input in place.
+///
+/// # Errors
+/// When the port is open or the message malformed.
+pub fn read<'a, M: Message>(inputs: &'a dyn Inputs, port: &'static str) -> Result<M::View<'a>, NodeError> {
+    let bytes = inputs.bytes(port).ok_or(MissingInput(port))?;
+    M::view(bytes).map_err(|error: MalformedMessage| error.into())
+}
+
+/// An input that a node cannot do without.
+#[derive(Debug, thiserror::Error)]
+#[error("input `{0}` is not connected: give it a producer in the graph")]
+pub struct MissingInput(pub &'static str);
+
+/// Inputs and outputs in memory: to run nodes in tests and inside one process.
+#[derive(Debug, Default)]
+pub struct InMemory {
+    /// The frame.
+    pub key: Option<FrameKey>,
+    /// Messages by port name.
+    pub messages: Vec<(String, AlignedBytes)>,
+}
+
+impl InMemory {
+    /// An empty frame.
+    #[must_use]
+    pub fn new(key: FrameKey) -> Self {
+        Self { key: Some(key), messages: Vec::new() }
+    }
+}
+
+impl Inputs for InMemory {
+    fn key(&self) -> FrameKey {
+        self.key.unwrap_or(FrameKey { index: 0, stamp_ns: 0 })
+    }
+
+    fn bytes(&self, port: &str) -> Option<&[u8]> {
+        self.messages.iter().find(|(name, _)| name == port).map(|(_, bytes)| &**bytes)
+    }
+}
+
+impl Outputs for InMemory {
+    fn send(
+        &mut self,
+        port: &str,
+        key: FrameKey,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [u8]),
+    ) -> Result<(), NodeError> {
+        let mut bytes = AlignedBytes::zeroed(len);
+        fill(&mut bytes);
+        self.key = Some(key);
+        self.messages.retain(|(name, _)| name != port);
+        self.messages.push((port.to_owned(), bytes));
+        Ok(())
+    }
+
+    fn is_connected(&self, _port: &str) -> bool {
+        true
+    }
+}
