@@ -200,19 +200,19 @@ with_avx2! {
 }
 
 /// Squared distances from 16 neighbouring points to the nearest points of the model. One walk down the tree serves
-/// all 16: a box is skipped when it is further from their box than the worst of their best distances. `hint` is a
-/// leaf that is likely near.
+/// all 16: a box is skipped when no point is nearer to it than to its own nearest point so far. `hint` is a leaf that
+/// is likely near.
 #[inline(always)]
 fn nearest_squared(points: &ModelPoints, hint: usize, queries: &Block) -> [f32; LANES] {
     let mut best = [f32::INFINITY; LANES];
     visit_leaf(&points.blocks[hint], queries, &mut best);
-    let bounds = (0..LANES).fold(Bounds::EMPTY, |b, l| b.with([queries.x[l], queries.y[l], queries.z[l]]));
-    let mut stack = [(1_usize, 0.0_f32); usize::BITS as usize];
+    let centre = [&queries.x, &queries.y, &queries.z].map(|c| c.iter().sum::<f32>() / LANES as f32);
+    let mut stack = [1_usize; usize::BITS as usize];
     let mut depth = 1;
     while depth > 0 {
         depth -= 1;
-        let (node, distance) = stack[depth];
-        if distance >= worst(&best) {
+        let node = stack[depth];
+        if !any_nearer(&points.nodes[node], queries, &best) {
             continue;
         }
         if node >= points.leaves {
@@ -221,25 +221,34 @@ fn nearest_squared(points: &ModelPoints, hint: usize, queries: &Block) -> [f32; 
             }
             continue;
         }
-        let [left, right] = [2 * node, 2 * node + 1].map(|n| (n, points.nodes[n].distance_squared(&bounds)));
-        let (near, far) = if left.1 <= right.1 { (left, right) } else { (right, left) };
-        for child in [far, near] {
-            if child.1 < f32::INFINITY {
-                stack[depth] = child;
-                depth += 1;
-            }
-        }
+        let [left, right] = [2 * node, 2 * node + 1];
+        let right_first = points.nodes[right].distance_squared(centre) < points.nodes[left].distance_squared(centre);
+        stack[depth] = if right_first { left } else { right };
+        stack[depth + 1] = if right_first { right } else { left };
+        depth += 2;
     }
     best
 }
 
+/// Whether a box is nearer to any of the points than the best of that point.
 #[inline(always)]
-fn worst(best: &[f32; LANES]) -> f32 {
-    let mut worst = 0.0_f32;
+fn any_nearer(bounds: &Bounds, queries: &Block, best: &[f32; LANES]) -> bool {
+    let ([lx, ly, lz], [hx, hy, hz]) = (bounds.low, bounds.high);
+    let mut nearer = [0_i32; LANES];
     for l in 0..LANES {
-        worst = if best[l] > worst { best[l] } else { worst };
+        let (x, y, z) = (queries.x[l], queries.y[l], queries.z[l]);
+        let (dx, dy, dz) = (outside(x, lx, hx), outside(y, ly, hy), outside(z, lz, hz));
+        nearer[l] = i32::from(dx * dx + dy * dy + dz * dz < best[l]);
     }
-    worst
+    nearer.into_iter().fold(0, |a, b| a | b) != 0
+}
+
+/// How far a coordinate is outside of an interval.
+#[inline(always)]
+fn outside(v: f32, low: f32, high: f32) -> f32 {
+    let (below, above) = (low - v, v - high);
+    let gap = if below > above { below } else { above };
+    if gap > 0.0 { gap } else { 0.0 }
 }
 
 #[inline(always)]

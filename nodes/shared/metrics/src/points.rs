@@ -143,12 +143,12 @@ impl Bounds {
         }
     }
 
-    /// Squared distance between two boxes: 0 when they touch, infinite when one is empty.
+    /// Squared distance from a point: 0 inside, infinite when the box is empty.
     #[inline(always)]
-    pub(crate) fn distance_squared(&self, other: &Self) -> f32 {
+    pub(crate) fn distance_squared(&self, p: [f32; 3]) -> f32 {
         let mut sum = 0.0;
         for i in 0..3 {
-            let gap = (self.low[i] - other.high[i]).max(other.low[i] - self.high[i]).max(0.0);
+            let gap = (self.low[i] - p[i]).max(p[i] - self.high[i]).max(0.0);
             sum += gap * gap;
         }
         sum
