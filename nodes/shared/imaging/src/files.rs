@@ -1,0 +1,112 @@
+use crate::ImagingError;
+use image::{
+    DynamicImage, ExtendedColorType, ImageEncoder, RgbImage, codecs::jpeg::JpegEncoder, codecs::png::PngEncoder,
+};
+use std::path::Path;
+
+/// Depth along the optical axis, metres, row-major; 0 where there is none.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthImage {
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `height x width` depths, metres.
+    pub data_m: Vec<f32>,
+}
+
+impl DepthImage {
+    /// The depth at a pixel, metres; `None` outside the image and where there is none.
+    #[must_use]
+    pub fn at(&self, x: u32, y: u32) -> Option<f32> {
+        let inside = x < self.width && y < self.height;
+        inside.then(|| self.data_m[(y * self.width + x) as usize]).filter(|depth| *depth > 0.0)
+    }
+}
+
+/// Decodes a JPEG or PNG. Grey images get three equal channels, alpha is dropped, 16 bits become 8.
+///
+/// # Errors
+/// [`ImagingError::Image`], with `name` as the path.
+pub fn decode_rgb(bytes: &[u8], name: &str) -> Result<RgbImage, ImagingError> {
+    let decoded = image::load_from_memory(bytes);
+    decoded.map(DynamicImage::into_rgb8).map_err(|source| ImagingError::Image { path: name.into(), source })
+}
+
+/// Reads a JPEG or PNG file as [`decode_rgb`] does.
+///
+/// # Errors
+/// When the file cannot be read or decoded.
+pub fn load_rgb(path: &Path) -> Result<RgbImage, ImagingError> {
+    let bytes = std::fs::read(path).map_err(ImagingError::io(path))?;
+    decode_rgb(&bytes, &path.to_string_lossy())
+}
+
+/// Reads a 16-bit depth PNG of a BOP set; `depth_scale` (scene_camera.json) times the value is millimetres.
+///
+/// # Errors
+/// When the file cannot be read or decoded, or is no grey image.
+pub fn load_depth(path: &Path, depth_scale: f64) -> Result<DepthImage, ImagingError> {
+    let bytes = std::fs::read(path).map_err(ImagingError::io(path))?;
+    let decoded =
+        image::load_from_memory(&bytes).map_err(|source| ImagingError::Image { path: path.to_owned(), source })?;
+    if decoded.color().has_color() {
+        return Err(ImagingError::field(path, "colour type", "a colour image", "depth must be a 16-bit grey PNG"));
+    }
+    let grey = decoded.into_luma16();
+    let data_m = grey.as_raw().iter().map(|&v| (f64::from(v) * depth_scale * 1e-3) as f32).collect();
+    Ok(DepthImage { width: grey.width(), height: grey.height(), data_m })
+}
+
+/// PNG bytes of an RGB image.
+///
+/// # Errors
+/// When the encoder fails (an image without pixels).
+pub fn encode_png(image: &RgbImage) -> Result<Vec<u8>, ImagingError> {
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(image.as_raw(), image.width(), image.height(), ExtendedColorType::Rgb8)
+        .map_err(|source| ImagingError::Image { path: "(PNG encoder)".into(), source })?;
+    Ok(bytes)
+}
+
+/// JPEG bytes of an RGB image; `quality` from 1 to 100.
+///
+/// # Errors
+/// When the encoder fails (an image without pixels, or a side over 65535).
+pub fn encode_jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>, ImagingError> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100))
+        .write_image(image.as_raw(), image.width(), image.height(), ExtendedColorType::Rgb8)
+        .map_err(|source| ImagingError::Image { path: "(JPEG encoder)".into(), source })?;
+    Ok(bytes)
+}
+
+/// Writes a PNG file.
+///
+/// # Errors
+/// When the image cannot be encoded or the file not written.
+pub fn save_png(image: &RgbImage, path: &Path) -> Result<(), ImagingError> {
+    std::fs::write(path, encode_png(image)?).map_err(ImagingError::io(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    #[test]
+    fn a_png_comes_back_unchanged_and_a_jpeg_nearly() {
+        let image = RgbImage::from_fn(16, 9, |x, y| Rgb([(x * 15) as u8, (y * 20) as u8, 90]));
+        assert_eq!(decode_rgb(&encode_png(&image).unwrap(), "png").unwrap(), image);
+        let jpeg = decode_rgb(&encode_jpeg(&image, 95).unwrap(), "jpeg").unwrap();
+        let worst = jpeg.as_raw().iter().zip(image.as_raw()).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+        assert!(worst < 40, "{worst}");
+    }
+
+    #[test]
+    fn a_foreign_file_is_named() {
+        let message = decode_rgb(b"no image", "frame 7").unwrap_err().to_string();
+        assert!(message.contains("frame 7") && message.contains("JPEG or PNG"), "{message}");
+    }
+}
