@@ -19,6 +19,7 @@ mod image;
 mod object_poses;
 mod pose;
 mod pose_stamped;
+mod schema;
 mod tf_message;
 
 pub use camera_info::{CameraInfo, IntrinsicsError, RegionOfInterest};
@@ -30,6 +31,7 @@ pub use image::{Image, ImageError};
 pub use object_poses::{DetectionError, Naming, best_pose, detections, object_poses, pose_stamped, transforms};
 pub use pose::{Point, Pose, PoseWithCovariance, Quaternion, Vector3};
 pub use pose_stamped::PoseStamped;
+pub use schema::BagMessage;
 pub use tf_message::{TFMessage, Transform, TransformStamped};
 
 use serde::Serialize;
