@@ -1,7 +1,21 @@
 //! What every node stands on: the [`Node`] trait, graphs in YAML, delivery over iceoryx2, the supervisor.
 
+mod board;
+mod clock;
 mod context;
+mod error;
+pub mod graph;
+mod histogram;
+mod ipc;
 mod node;
+mod plan;
+mod registry;
+mod runner;
+pub mod supervisor;
 
 pub use context::Context;
+pub use graph::{Graph, GraphError, Mode, Problem};
+pub use ipc::IpcError;
 pub use node::{InMemory, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Role, read};
+pub use registry::Registry;
+pub use runner::RunError;

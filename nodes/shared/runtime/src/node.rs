@@ -28,19 +28,29 @@ pub struct PortSpec {
     pub message: &'static str,
     /// Whether a graph must connect it (inputs only).
     pub required: bool,
+    /// Inputs only: not joined by frame; the newest message that has come is there with every frame, none before
+    /// the first. Such a port may close a cycle that the graph declares as `feedback`.
+    pub latest: bool,
 }
 
 impl PortSpec {
     /// A port that carries `M` and must be connected.
     #[must_use]
     pub const fn required<M: Message>(name: &'static str) -> Self {
-        Self { name, message: M::TYPE_NAME, required: true }
+        Self { name, message: M::TYPE_NAME, required: true, latest: false }
     }
 
     /// A port that carries `M` and may stay open.
     #[must_use]
     pub const fn optional<M: Message>(name: &'static str) -> Self {
-        Self { name, message: M::TYPE_NAME, required: false }
+        Self { name, message: M::TYPE_NAME, required: false, latest: false }
+    }
+
+    /// An input that carries `M`, may stay open, and is not joined by frame: [`Inputs::bytes`] gives the newest
+    /// message that has come. Its producer need not send one per frame.
+    #[must_use]
+    pub const fn latest<M: Message>(name: &'static str) -> Self {
+        Self { name, message: M::TYPE_NAME, required: false, latest: true }
     }
 }
 

@@ -1,0 +1,208 @@
+//! What the processes of a run know of each other: one small file, mapped by all of them.
+//!
+//! Every value is one atomic word, so a process that is killed leaves no half-written state, and its successor
+//! reads where the run stands: which frames are acknowledged, how often each node began, when the run is to end.
+//! Messages never pass here.
+
+use crate::histogram::{self, BUCKETS};
+use memmap2::MmapRaw;
+use std::fs::OpenOptions;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+const MAGIC: u64 = 0x7066_626f_6172_6402;
+const HEADER_WORDS: usize = 16;
+const NODE_WORDS: usize = 640;
+const WORK: usize = 64;
+const AGE: usize = WORK + BUCKETS;
+const UNKNOWN: u64 = u64::MAX;
+
+/// Words of the header.
+enum Header {
+    Magic = 0,
+    Nodes = 1,
+    Stop = 2,
+    Total = 3,
+}
+
+/// Words of a node.
+#[derive(Clone, Copy)]
+pub(crate) enum Word {
+    /// Process id of the node's current life.
+    Pid = 0,
+    /// A [`State`].
+    State = 1,
+    /// Counts how often the node became ready.
+    Generation = 2,
+    /// Counts restarts.
+    Restarts = 3,
+    /// All frames below this one are safe with this node.
+    Acknowledged = 4,
+    /// Frames that were handled, each once.
+    Frames = 5,
+    /// Frames given up for newer ones.
+    Drops = 6,
+    /// Frames that were handled again after a death.
+    Repeats = 7,
+    /// When the first frame began, monotonic ns.
+    FirstNs = 8,
+    /// When the last frame ended, monotonic ns.
+    LastNs = 9,
+}
+
+/// Where a node stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum State {
+    /// Not there, or not ready yet.
+    Away = 0,
+    /// Its ports are connected and it waits for frames.
+    Ready = 1,
+    /// It has seen the end of the run and closed what it kept.
+    Finished = 2,
+}
+
+/// The mapped file.
+#[derive(Debug)]
+pub(crate) struct Board {
+    map: MmapRaw,
+    nodes: usize,
+}
+
+impl Board {
+    /// Makes the file of a run, all zero but for the unknown end.
+    pub(crate) fn create(path: &Path, nodes: usize) -> std::io::Result<Self> {
+        let file = OpenOptions::new().read(true).write(true).create_new(true).open(path)?;
+        file.set_len(((HEADER_WORDS + nodes * NODE_WORDS) * 8) as u64)?;
+        let board = Self { map: MmapRaw::map_raw(&file)?, nodes };
+        board.header(Header::Nodes).store(nodes as u64, Ordering::Relaxed);
+        board.header(Header::Total).store(UNKNOWN, Ordering::Relaxed);
+        board.header(Header::Magic).store(MAGIC, Ordering::Release);
+        Ok(board)
+    }
+
+    /// Maps the file of a run.
+    pub(crate) fn open(path: &Path) -> std::io::Result<Self> {
+        let file = OpenOptions::new().read(true).write(true).open(path)?;
+        let len = file.metadata()?.len() as usize;
+        let invalid = || std::io::Error::new(std::io::ErrorKind::InvalidData, "not the state of a run of this version");
+        if len < HEADER_WORDS * 8 {
+            return Err(invalid());
+        }
+        let mut board = Self { map: MmapRaw::map_raw(&file)?, nodes: 0 };
+        board.nodes = board.header(Header::Nodes).load(Ordering::Relaxed) as usize;
+        let whole = board.header(Header::Magic).load(Ordering::Acquire) == MAGIC
+            && len == (HEADER_WORDS + board.nodes * NODE_WORDS) * 8;
+        if whole { Ok(board) } else { Err(invalid()) }
+    }
+
+    fn words(&self) -> &[AtomicU64] {
+        // SAFETY: the mapping is page-aligned, lives as long as `self`, is only ever accessed through these
+        // atomics by all processes, and its length is a whole number of words.
+        unsafe { std::slice::from_raw_parts(self.map.as_ptr().cast::<AtomicU64>(), self.map.len() / 8) }
+    }
+
+    fn header(&self, word: Header) -> &AtomicU64 {
+        &self.words()[word as usize]
+    }
+
+    fn slot(&self, node: usize) -> &[AtomicU64] {
+        &self.words()[HEADER_WORDS + node * NODE_WORDS..][..NODE_WORDS]
+    }
+
+    pub(crate) fn get(&self, node: usize, word: Word) -> u64 {
+        self.slot(node)[word as usize].load(Ordering::Acquire)
+    }
+
+    pub(crate) fn set(&self, node: usize, word: Word, value: u64) {
+        self.slot(node)[word as usize].store(value, Ordering::Release);
+    }
+
+    pub(crate) fn add(&self, node: usize, word: Word, value: u64) {
+        self.slot(node)[word as usize].fetch_add(value, Ordering::AcqRel);
+    }
+
+    pub(crate) fn state(&self, node: usize) -> State {
+        match self.get(node, Word::State) {
+            1 => State::Ready,
+            2 => State::Finished,
+            _ => State::Away,
+        }
+    }
+
+    pub(crate) fn set_state(&self, node: usize, state: State) {
+        self.set(node, Word::State, state as u64);
+    }
+
+    /// Counts of lives by node: they change when a node has come back and needs its frames again.
+    pub(crate) fn generations(&self) -> Vec<u64> {
+        (0..self.nodes).map(|node| self.get(node, Word::Generation)).collect()
+    }
+
+    pub(crate) fn all_came(&self) -> bool {
+        self.generations().iter().all(|generation| *generation > 0)
+    }
+
+    pub(crate) fn request_stop(&self) {
+        self.header(Header::Stop).store(1, Ordering::Release);
+    }
+
+    pub(crate) fn stop_requested(&self) -> bool {
+        self.header(Header::Stop).load(Ordering::Acquire) != 0
+    }
+
+    /// How many frames the run has, once the source knows.
+    pub(crate) fn total(&self) -> Option<u64> {
+        Some(self.header(Header::Total).load(Ordering::Acquire)).filter(|total| *total != UNKNOWN)
+    }
+
+    pub(crate) fn set_total(&self, total: u64) {
+        self.header(Header::Total).store(total, Ordering::Release);
+    }
+
+    /// Counts a frame that a node has handled: when it began, how long it took, how old it is since its source.
+    pub(crate) fn count_frame(&self, node: usize, begin_ns: u64, end_ns: u64, origin_ns: u64) {
+        let slot = self.slot(node);
+        let first = &slot[Word::FirstNs as usize];
+        let _ = first.compare_exchange(0, begin_ns, Ordering::AcqRel, Ordering::Relaxed);
+        slot[Word::LastNs as usize].store(end_ns, Ordering::Release);
+        slot[Word::Frames as usize].fetch_add(1, Ordering::AcqRel);
+        histogram::record(&slot[WORK..AGE], end_ns.saturating_sub(begin_ns));
+        histogram::record(&slot[AGE..AGE + BUCKETS], end_ns.saturating_sub(origin_ns));
+    }
+
+    /// Milliseconds spent in a frame, by share of frames.
+    pub(crate) fn work_ms(&self, node: usize, share: f64) -> Option<f64> {
+        histogram::quantile_ms(&self.slot(node)[WORK..AGE], share)
+    }
+
+    /// Milliseconds from the source to this node's end of a frame, by share of frames.
+    pub(crate) fn age_ms(&self, node: usize, share: f64) -> Option<f64> {
+        histogram::quantile_ms(&self.slot(node)[AGE..AGE + BUCKETS], share)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_one_writes_all_read_also_after_it_is_gone() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("board");
+        let board = Board::create(&path, 3).unwrap();
+        let other = Board::open(&path).unwrap();
+        assert_eq!((other.total(), other.stop_requested(), other.state(2)), (None, false, State::Away));
+        other.set_total(7);
+        other.set(2, Word::Acknowledged, 5);
+        other.set_state(2, State::Ready);
+        other.count_frame(2, 1_000_000, 3_000_000, 500_000);
+        drop(other);
+        assert_eq!((board.total(), board.get(2, Word::Acknowledged), board.state(2)), (Some(7), 5, State::Ready));
+        assert_eq!(board.get(1, Word::Acknowledged), 0);
+        assert!((1.8..2.2).contains(&board.work_ms(2, 0.5).unwrap()));
+        assert!((2.2..2.8).contains(&board.age_ms(2, 0.5).unwrap()));
+        assert!(Board::create(&path, 3).is_err());
+        std::fs::write(&path, [0; 512]).unwrap();
+        assert!(Board::open(&path).is_err());
+    }
+}

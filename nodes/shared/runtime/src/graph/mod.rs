@@ -1,0 +1,173 @@
+//! Graphs: which nodes run, with what configuration, and whose output feeds whose input. Read from YAML into
+//! strict types; checked against a [`Registry`](crate::Registry) before anything starts.
+
+mod check;
+mod overrides;
+mod problem;
+mod schema;
+#[cfg(test)]
+mod tests;
+
+pub use check::check;
+pub(crate) use check::check_wiring;
+pub use problem::{GraphError, Problem};
+pub use schema::schema;
+
+use indexmap::IndexMap;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// How messages are delivered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// Nothing is lost: the source keeps a window of frames in flight and repeats what a death has swallowed.
+    Replay,
+    /// Newest wins: frames that come while the graph is busy are dropped and counted.
+    Live,
+}
+
+/// A graph as its YAML file states it.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Graph {
+    /// How messages are delivered.
+    pub mode: Mode,
+    /// Seed of everything random in the run.
+    #[serde(default = "default_seed")]
+    pub seed: u64,
+    /// Frames in flight between the source and the slowest sink, 1 to 64.
+    #[serde(default = "default_window")]
+    #[schemars(range(min = 1, max = 64))]
+    pub window: u64,
+    /// How often a node that dies is started again before the run gives up.
+    #[serde(default = "default_restarts")]
+    pub restarts: u32,
+    /// Outputs (`node/port`) whose way back to an earlier node is meant: they feed `latest` inputs only.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub feedback: Vec<PortRef>,
+    /// The nodes by name.
+    pub nodes: IndexMap<String, NodeSpec>,
+    /// Where the graph was read from, for messages.
+    #[serde(skip)]
+    pub file: PathBuf,
+}
+
+/// One node of a graph.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NodeSpec {
+    /// Which node it is: `player`, `flow`, ...
+    pub kind: String,
+    /// Input port: the output (`node/port`) that feeds it.
+    #[serde(default, skip_serializing_if = "IndexMap::is_empty")]
+    pub inputs: IndexMap<String, PortRef>,
+    /// The kind's own configuration. Paths are relative to the working directory.
+    #[serde(default = "empty_config")]
+    #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
+    pub config: serde_yaml::Value,
+}
+
+/// An output of a node, written `node/port`.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "String", into = "String")]
+#[schemars(with = "String")]
+pub struct PortRef {
+    /// Name of the node.
+    pub node: String,
+    /// Name of its output.
+    pub port: String,
+}
+
+fn default_seed() -> u64 {
+    1
+}
+
+fn default_window() -> u64 {
+    4
+}
+
+fn default_restarts() -> u32 {
+    3
+}
+
+fn empty_config() -> serde_yaml::Value {
+    serde_yaml::Value::Mapping(serde_yaml::Mapping::new())
+}
+
+impl Graph {
+    /// Reads a graph from a file.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no YAML, or has unknown or missing keys.
+    pub fn read(path: &Path) -> Result<Self, GraphError> {
+        let text =
+            std::fs::read_to_string(path).map_err(|source| GraphError::Read { file: path.to_owned(), source })?;
+        Self::parse(&text, path)
+    }
+
+    /// Reads a graph from a text; `file` is the name that messages give it.
+    ///
+    /// # Errors
+    /// As [`Graph::read`].
+    pub fn parse(text: &str, file: &Path) -> Result<Self, GraphError> {
+        let syntax = |source| GraphError::Syntax { file: file.to_owned(), source };
+        let value: serde_yaml::Value = serde_yaml::from_str(text).map_err(syntax)?;
+        let mut graph: Self = serde_path_to_error::deserialize(value).map_err(|error| GraphError::Shape {
+            file: file.to_owned(),
+            field: error.path().to_string(),
+            source: error.into_inner(),
+        })?;
+        graph.file = file.to_owned();
+        Ok(graph)
+    }
+
+    /// The graph as YAML, overrides included.
+    ///
+    /// # Errors
+    /// When a configuration holds what YAML cannot.
+    pub fn to_yaml(&self) -> Result<String, GraphError> {
+        serde_yaml::to_string(self).map_err(|source| GraphError::Syntax { file: self.file.clone(), source })
+    }
+
+    /// Whether the edge from this output is declared as feedback.
+    #[must_use]
+    pub fn is_feedback(&self, output: &PortRef) -> bool {
+        self.feedback.contains(output)
+    }
+}
+
+impl FromStr for PortRef {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once('/') {
+            Some((node, port)) if !node.is_empty() && !port.is_empty() && !port.contains('/') => {
+                Ok(Self { node: node.to_owned(), port: port.to_owned() })
+            }
+            _ => Err(format!("`{text}` names no output: write `node/port`, such as `player/frame`")),
+        }
+    }
+}
+
+impl TryFrom<String> for PortRef {
+    type Error = String;
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<PortRef> for String {
+    fn from(port: PortRef) -> Self {
+        port.to_string()
+    }
+}
+
+impl fmt::Display for PortRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.node, self.port)
+    }
+}

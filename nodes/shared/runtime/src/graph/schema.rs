@@ -1,0 +1,61 @@
+use super::Graph;
+use crate::Registry;
+use crate::registry::Kind;
+use serde_json::{Value, json};
+
+/// The JSON schema of graphs over the registered kinds, from the structs that read them: for editors, and as
+/// the reference of every key.
+#[must_use]
+pub fn schema(registry: &Registry) -> Value {
+    let mut schema = schemars::schema_for!(Graph).to_value();
+    let kinds: Vec<Value> = registry.kinds().map(node_schema).collect();
+    schema["$defs"]["NodeSpec"] = json!({ "description": "One node of a graph.", "oneOf": kinds });
+    schema
+}
+
+fn node_schema(kind: &Kind) -> Value {
+    let ports: serde_json::Map<String, Value> = kind
+        .inputs
+        .iter()
+        .map(|port| (port.name.to_owned(), json!({ "type": "string", "description": port.message })))
+        .collect();
+    let required: Vec<&str> = kind.inputs.iter().filter(|port| port.required).map(|port| port.name).collect();
+    let mut config = (kind.schema)();
+    // A schema inside a schema: its own definitions move with it, so references must point there.
+    point_references_at(&mut config, &format!("#/$defs/NodeSpec/oneOf/{}/properties/config", kind.position));
+    if let Some(object) = config.as_object_mut() {
+        object.remove("$schema");
+    }
+    json!({
+        "type": "object",
+        "additionalProperties": false,
+        "required": if required.is_empty() { vec!["kind"] } else { vec!["kind", "inputs"] },
+        "properties": {
+            "kind": { "const": kind.name },
+            "inputs": {
+                "type": "object",
+                "additionalProperties": false,
+                "required": required,
+                "properties": ports,
+            },
+            "config": config,
+        }
+    })
+}
+
+fn point_references_at(value: &mut Value, place: &str) {
+    match value {
+        Value::Object(object) => {
+            for (key, value) in object {
+                match value {
+                    Value::String(reference) if key == "$ref" && reference.starts_with("#/") => {
+                        *reference = format!("{place}{}", &reference[1..]);
+                    }
+                    _ => point_references_at(value, place),
+                }
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(|value| point_references_at(value, place)),
+        _ => {}
+    }
+}

@@ -1,0 +1,219 @@
+use crate::graph::{Graph, GraphError, Mode, PortRef};
+use crate::registry::{Kind, Registry};
+use crate::{PortSpec, Role};
+
+/// A checked graph with every name resolved: who feeds whom, who begins, who acknowledges.
+#[derive(Debug, Clone)]
+pub(crate) struct Plan {
+    pub(crate) mode: Mode,
+    pub(crate) seed: u64,
+    pub(crate) window: u64,
+    pub(crate) restarts: u32,
+    /// In the graph's order; the position is the node's id in the run.
+    pub(crate) nodes: Vec<PlannedNode>,
+    /// Position of the one source.
+    pub(crate) source: usize,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct PlannedNode {
+    pub(crate) name: String,
+    pub(crate) config: serde_yaml::Value,
+    pub(crate) kind: Kind,
+    /// Whether it waits for acknowledgements of: the end of a line.
+    pub(crate) acknowledges: bool,
+    pub(crate) inputs: Vec<PlannedInput>,
+    pub(crate) outputs: Vec<PlannedOutput>,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct PlannedInput {
+    pub(crate) port: &'static str,
+    pub(crate) producer: usize,
+    /// The producer's port.
+    pub(crate) output: String,
+    pub(crate) latest: bool,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct PlannedOutput {
+    pub(crate) port: &'static str,
+    /// Nodes that join it by frame.
+    pub(crate) joined_by: Vec<usize>,
+    /// Nodes that take the newest only.
+    pub(crate) latest_of: Vec<usize>,
+}
+
+impl PlannedOutput {
+    pub(crate) fn is_connected(&self) -> bool {
+        !(self.joined_by.is_empty() && self.latest_of.is_empty())
+    }
+}
+
+impl Plan {
+    /// Resolves a graph, after checking its wiring (not the nodes' configurations).
+    pub(crate) fn new(graph: &Graph, registry: &Registry) -> Result<Self, GraphError> {
+        crate::graph::check_wiring(graph, registry).map_err(GraphError::Problems)?;
+        let wiring = Wiring::new(graph, registry);
+        let nodes: Vec<_> = wiring.nodes.iter().enumerate().map(|(i, _)| wiring.plan(i)).collect();
+        let source = wiring.sources().next().unwrap_or(0);
+        Ok(Self {
+            mode: graph.mode,
+            seed: graph.seed,
+            window: graph.window,
+            restarts: graph.restarts,
+            nodes,
+            source,
+        })
+    }
+
+    pub(crate) fn position(&self, name: &str) -> Option<usize> {
+        self.nodes.iter().position(|node| node.name == name)
+    }
+
+    pub(crate) fn replay(&self) -> bool {
+        self.mode == Mode::Replay
+    }
+
+    /// Positions of the nodes whose acknowledgement a frame needs.
+    pub(crate) fn acknowledgers(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.nodes.len()).filter(|i| self.nodes[*i].acknowledges)
+    }
+
+    /// Nodes that take anything from this one.
+    pub(crate) fn consumers(&self, node: usize) -> Vec<usize> {
+        let outputs = self.nodes[node].outputs.iter();
+        sorted(outputs.flat_map(|o| o.joined_by.iter().chain(&o.latest_of)).copied().collect())
+    }
+
+    /// Nodes that this one takes anything from.
+    pub(crate) fn producers(&self, node: usize) -> Vec<usize> {
+        sorted(self.nodes[node].inputs.iter().map(|input| input.producer).collect())
+    }
+}
+
+fn sorted(mut nodes: Vec<usize>) -> Vec<usize> {
+    nodes.sort_unstable();
+    nodes.dedup();
+    nodes
+}
+
+/// A graph beside its kinds, as far as names resolve: what the check and the plan both look at.
+pub(crate) struct Wiring<'a> {
+    pub(crate) graph: &'a Graph,
+    pub(crate) nodes: Vec<WiredNode<'a>>,
+}
+
+pub(crate) struct WiredNode<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) spec: &'a crate::graph::NodeSpec,
+    /// `None` when the kind is unknown.
+    pub(crate) kind: Option<&'a Kind>,
+}
+
+/// One input line of a graph of which both ends exist.
+#[derive(Clone, Copy)]
+pub(crate) struct Edge<'a> {
+    pub(crate) from: usize,
+    pub(crate) to: usize,
+    pub(crate) output: &'a PortRef,
+    pub(crate) input: &'a PortSpec,
+    pub(crate) sends: &'a PortSpec,
+}
+
+impl<'a> Wiring<'a> {
+    pub(crate) fn new(graph: &'a Graph, registry: &'a Registry) -> Self {
+        let wire = |(name, spec): (&'a String, &'a crate::graph::NodeSpec)| WiredNode {
+            name,
+            spec,
+            kind: registry.kind(&spec.kind),
+        };
+        Self { graph, nodes: graph.nodes.iter().map(wire).collect() }
+    }
+
+    pub(crate) fn position(&self, name: &str) -> Option<usize> {
+        self.nodes.iter().position(|node| node.name == name)
+    }
+
+    /// All edges whose both ends resolve.
+    pub(crate) fn edges(&self) -> Vec<Edge<'a>> {
+        let mut edges = Vec::new();
+        for (to, node) in self.nodes.iter().enumerate() {
+            for (port, output) in &node.spec.inputs {
+                let input = node.kind.and_then(|kind| kind.inputs.iter().find(|p| p.name == port));
+                let from = self.position(&output.node);
+                let sends = from.and_then(|from| self.output(from, &output.port));
+                if let (Some(input), Some(from), Some(sends)) = (input, from, sends) {
+                    edges.push(Edge { from, to, output, input, sends });
+                }
+            }
+        }
+        edges
+    }
+
+    pub(crate) fn output(&self, node: usize, port: &str) -> Option<&'a PortSpec> {
+        self.nodes[node].kind?.outputs.iter().find(|p| p.name == port)
+    }
+
+    /// Nodes that begin frames: of a source's role, unless the graph uses only their inputs (a bridge that
+    /// publishes what a player began).
+    pub(crate) fn sources(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.nodes.len()).filter(|i| self.is_source(*i))
+    }
+
+    pub(crate) fn is_source(&self, node: usize) -> bool {
+        let has_role = self.nodes[node].kind.is_some_and(|k| matches!(k.role, Role::ReplaySource | Role::LiveSource));
+        has_role && (self.nodes[node].spec.inputs.is_empty() || self.feeds_somebody(node))
+    }
+
+    pub(crate) fn feeds_somebody(&self, node: usize) -> bool {
+        let name = self.nodes[node].name;
+        self.nodes.iter().any(|other| other.spec.inputs.values().any(|output| output.node == name))
+    }
+
+    /// Whether a node ends a line: a sink, a source that also takes inputs, or a transform all of whose outputs
+    /// only go back by feedback edges.
+    pub(crate) fn acknowledges(&self, node: usize) -> bool {
+        let Some(kind) = self.nodes[node].kind else { return false };
+        let edges = self.edges();
+        let joins = edges.iter().any(|edge| edge.to == node && !edge.input.latest);
+        let ends = match kind.role {
+            Role::Sink | Role::ReplaySource | Role::LiveSource => true,
+            Role::Transform => {
+                let mut out = edges.iter().filter(|edge| edge.from == node).peekable();
+                out.peek().is_some() && out.all(|edge| self.graph.is_feedback(edge.output))
+            }
+        };
+        joins && ends
+    }
+
+    fn plan(&self, node: usize) -> PlannedNode {
+        let wired = &self.nodes[node];
+        // The check has made sure that the kind exists.
+        let kind = wired.kind.cloned().unwrap_or_else(|| unreachable!("checked graphs have known kinds"));
+        let edges = self.edges();
+        let inputs = edges.iter().filter(|edge| edge.to == node).map(|edge| PlannedInput {
+            port: edge.input.name,
+            producer: edge.from,
+            output: edge.output.port.clone(),
+            latest: edge.input.latest,
+        });
+        let to = |port: &PortSpec, latest: bool| {
+            let goes = |e: &&Edge| e.from == node && e.sends.name == port.name && e.input.latest == latest;
+            edges.iter().filter(goes).map(|edge| edge.to).collect()
+        };
+        let outputs = kind.outputs.iter().map(|port| PlannedOutput {
+            port: port.name,
+            joined_by: to(port, false),
+            latest_of: to(port, true),
+        });
+        PlannedNode {
+            name: wired.name.to_owned(),
+            config: wired.spec.config.clone(),
+            acknowledges: self.acknowledges(node),
+            inputs: inputs.collect(),
+            outputs: outputs.collect(),
+            kind,
+        }
+    }
+}

@@ -1,0 +1,91 @@
+use super::links::TICK;
+use super::{Ending, Launch, RunError, Runner};
+use crate::Node;
+use crate::board::{State, Word};
+use crate::clock::monotonic_ns;
+
+impl<N: Node> Runner<'_, N> {
+    /// The loop of transforms and sinks.
+    pub(super) fn consume(&mut self) -> Result<Ending, RunError> {
+        let mut next = 0;
+        loop {
+            // Looked at before the inputs are emptied: what a finished producer sent is there by then.
+            let last_round = self.producers_finished();
+            self.take_frames(&mut next)?;
+            if last_round {
+                return Ok(Ending::InOrder);
+            }
+            if self.sleep(TICK)? {
+                return Ok(Ending::Terminated);
+            }
+        }
+    }
+
+    fn producers_finished(&self) -> bool {
+        let Launch { plan, board, me, .. } = self.launch;
+        let mut joined = plan.nodes[*me].inputs.iter().filter(|input| !input.latest);
+        joined.all(|input| board.state(input.producer) == State::Finished)
+    }
+
+    /// Handles all frames that can be handled now.
+    pub(super) fn take_frames(&mut self, next: &mut u64) -> Result<(), RunError> {
+        loop {
+            let gone = self.intake.drain().map_err(|e| self.launch.ipc_error(e))?;
+            self.launch.board.add(self.launch.me, Word::Drops, gone);
+            match self.pick(next) {
+                Some(index) => self.handle(index, next)?,
+                None => return Ok(()),
+            }
+        }
+    }
+
+    fn pick(&mut self, next: &mut u64) -> Option<u64> {
+        if self.launch.plan.replay() { self.pick_in_order(next) } else { self.pick_newest() }
+    }
+
+    /// The first whole frame that is not ahead of its turn. What everybody has acknowledged is never needed again;
+    /// an acknowledging node needs nothing again.
+    fn pick_in_order(&mut self, next: &mut u64) -> Option<u64> {
+        let Launch { plan, board, me, .. } = self.launch;
+        let needed = match plan.nodes[*me].acknowledges {
+            true => board.get(*me, Word::Acknowledged),
+            false => self.launch.acknowledged_by_all(),
+        };
+        self.intake.join.drop_below(needed);
+        *next = needed.max(*next);
+        self.intake.join.first_complete(*next)
+    }
+
+    fn pick_newest(&mut self) -> Option<u64> {
+        let index = self.intake.join.last_complete()?;
+        let passed = self.intake.join.drop_below(index);
+        self.launch.board.add(self.launch.me, Word::Drops, passed);
+        Some(index)
+    }
+
+    fn handle(&mut self, index: u64, next: &mut u64) -> Result<(), RunError> {
+        let Launch { plan, board, me, .. } = self.launch;
+        let Some(frame) = self.intake.take(index) else { return Ok(()) };
+        let (origin_ns, begin_ns) = (frame.envelope.origin_ns, monotonic_ns());
+        self.outputs.begin(Some(frame.envelope.key()), origin_ns);
+        let place = || format!("frame {index}");
+        let done = self.node.process(&frame, &mut self.outputs, &self.context);
+        done.map_err(|error| self.launch.node_error(place(), &error))?;
+        self.outputs.end().map_err(|error| self.launch.error(place(), error.to_string()))?;
+        drop(frame);
+        if plan.nodes[*me].acknowledges {
+            board.set(*me, Word::Acknowledged, index + 1);
+        }
+        self.links.ring_consumers();
+        if plan.nodes[*me].acknowledges {
+            self.links.ring_source();
+        }
+        if index < *next {
+            board.add(*me, Word::Repeats, 1);
+        } else {
+            board.count_frame(*me, begin_ns, monotonic_ns(), origin_ns);
+        }
+        *next = (*next).max(index + 1);
+        Ok(())
+    }
+}

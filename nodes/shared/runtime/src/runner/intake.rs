@@ -1,0 +1,86 @@
+use super::join::Join;
+use crate::Inputs;
+use crate::ipc::{Envelope, IpcError, MessageIn, Received, Topic};
+use crate::plan::{Plan, PlannedInput};
+use iceoryx2::prelude::{Node, ipc};
+use pseudoflow_msgs::FrameKey;
+
+/// All inputs of a node.
+pub(super) struct Intake {
+    joined: Vec<(&'static str, MessageIn)>,
+    latest: Vec<Latest>,
+    pub(super) join: Join<Received>,
+}
+
+struct Latest {
+    port: &'static str,
+    input: MessageIn,
+    message: Option<Received>,
+}
+
+/// The topic of an output, stated the same by everybody.
+pub(crate) fn topic(node: &Node<ipc::Service>, plan: &Plan, producer: usize, port: &str) -> Result<Topic, IpcError> {
+    let planned = &plan.nodes[producer];
+    let output = planned.outputs.iter().find(|output| output.port == port);
+    let (joined, latest) = output.map_or((0, 0), |o| (o.joined_by.len(), o.latest_of.len()));
+    Topic::open(node, &format!("frames/{}/{port}", planned.name), plan.window, joined + latest, latest > 0)
+}
+
+impl Intake {
+    pub(super) fn new(node: &Node<ipc::Service>, plan: &Plan, me: usize) -> Result<Self, IpcError> {
+        let connect = |input: &PlannedInput| topic(node, plan, input.producer, &input.output)?.subscriber();
+        let (mut joined, mut latest) = (Vec::new(), Vec::new());
+        for planned in &plan.nodes[me].inputs {
+            let (port, input) = (planned.port, connect(planned)?);
+            if planned.latest {
+                latest.push(Latest { port, input, message: None });
+            } else {
+                joined.push((port, input));
+            }
+        }
+        let join = Join::new(joined.len(), 2 * plan.window as usize);
+        Ok(Self { joined, latest, join })
+    }
+
+    /// Takes all that has come; counts frames that had to go for newer ones.
+    pub(super) fn drain(&mut self) -> Result<u64, IpcError> {
+        let mut gone = 0;
+        for (input, (_, port)) in self.joined.iter().enumerate() {
+            while let Some(message) = port.receive()? {
+                gone += u64::from(self.join.insert(message.envelope().index, input, message));
+            }
+        }
+        for latest in &mut self.latest {
+            while let Some(message) = latest.input.receive()? {
+                latest.message = Some(message);
+            }
+        }
+        Ok(gone)
+    }
+
+    /// Takes a whole frame out.
+    pub(super) fn take(&mut self, index: u64) -> Option<Frame<'_>> {
+        let messages = self.join.take(index)?;
+        let envelope = *messages.first()?.envelope();
+        Some(Frame { envelope, intake: self, messages })
+    }
+}
+
+/// One frame's messages, read in place.
+pub(super) struct Frame<'a> {
+    pub(super) envelope: Envelope,
+    intake: &'a Intake,
+    messages: Vec<Received>,
+}
+
+impl Inputs for Frame<'_> {
+    fn key(&self) -> FrameKey {
+        self.envelope.key()
+    }
+
+    fn bytes(&self, port: &str) -> Option<&[u8]> {
+        let joined = self.intake.joined.iter().position(|(name, _)| *name == port);
+        let latest = || self.intake.latest.iter().find(|latest| latest.port == port)?.message.as_ref();
+        joined.map(|input| &self.messages[input]).or_else(latest).map(Received::bytes)
+    }
+}

@@ -1,0 +1,78 @@
+use std::collections::BTreeMap;
+
+/// Collects the messages of frames until all inputs of a frame are there.
+#[derive(Debug)]
+pub(super) struct Join<M> {
+    inputs: usize,
+    most_frames: usize,
+    frames: BTreeMap<u64, Vec<Option<M>>>,
+}
+
+impl<M> Join<M> {
+    /// Joins so many inputs and holds at most so many frames.
+    pub(super) fn new(inputs: usize, most_frames: usize) -> Self {
+        Self { inputs, most_frames, frames: BTreeMap::new() }
+    }
+
+    /// Adds a message; of two for the same place the first stays (they are equal). `true` when the oldest frame
+    /// had to go for it.
+    pub(super) fn insert(&mut self, index: u64, input: usize, message: M) -> bool {
+        let inputs = self.inputs;
+        let place = &mut self.frames.entry(index).or_insert_with(|| (0..inputs).map(|_| None).collect())[input];
+        if place.is_none() {
+            *place = Some(message);
+        }
+        self.frames.len() > self.most_frames && self.frames.pop_first().is_some()
+    }
+
+    /// Gives up all frames below `index` and counts them.
+    pub(super) fn drop_below(&mut self, index: u64) -> u64 {
+        let keep = self.frames.split_off(&index);
+        std::mem::replace(&mut self.frames, keep).len() as u64
+    }
+
+    fn complete(&self) -> impl DoubleEndedIterator<Item = u64> + '_ {
+        self.frames.iter().filter(|(_, messages)| messages.iter().all(Option::is_some)).map(|(index, _)| *index)
+    }
+
+    /// The first frame not above `most` that is whole.
+    pub(super) fn first_complete(&self, most: u64) -> Option<u64> {
+        self.complete().next().filter(|index| *index <= most)
+    }
+
+    /// The last frame that is whole.
+    pub(super) fn last_complete(&self) -> Option<u64> {
+        self.complete().next_back()
+    }
+
+    /// Takes a whole frame out.
+    pub(super) fn take(&mut self, index: u64) -> Option<Vec<M>> {
+        self.frames.remove(&index).map(|messages| messages.into_iter().flatten().collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_is_whole_when_every_input_came() {
+        let mut join = Join::new(2, 8);
+        assert!(!join.insert(4, 0, "4a") && !join.insert(5, 0, "5a") && !join.insert(5, 1, "5b"));
+        assert_eq!((join.first_complete(9), join.first_complete(4), join.last_complete()), (Some(5), None, Some(5)));
+        join.insert(4, 0, "another 4a");
+        join.insert(4, 1, "4b");
+        assert_eq!((join.first_complete(9), join.last_complete()), (Some(4), Some(5)));
+        assert_eq!(join.take(4), Some(vec!["4a", "4b"]));
+        assert_eq!((join.drop_below(6), join.first_complete(9)), (1, None));
+    }
+
+    #[test]
+    fn the_oldest_goes_when_too_many_wait() {
+        let mut join = Join::new(2, 2);
+        assert!(!join.insert(1, 0, ()) && !join.insert(2, 0, ()) && join.insert(3, 0, ()));
+        join.insert(2, 1, ());
+        assert_eq!(join.last_complete(), Some(2));
+        assert_eq!(join.drop_below(10), 2);
+    }
+}

@@ -1,0 +1,132 @@
+//! Starts every node of a graph as a process of its own, watches over them, and leaves nothing behind.
+
+mod child;
+mod control;
+mod summary;
+mod table;
+mod territory;
+
+pub use summary::{NodeSummary, Summary};
+
+use crate::Registry;
+use crate::graph::{Graph, GraphError};
+use crate::ipc::IpcError;
+use crate::plan::Plan;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// How to run a graph.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Folder of the run: made if need be; holds the graph as it ran, the summary, and what nodes leave there.
+    pub run_dir: PathBuf,
+    /// What starts a node; its name, `--graph FILE --run-dir DIR` are appended. The default is this very program
+    /// with `node`.
+    pub command: Option<Vec<OsString>>,
+    /// How long a run may take to end in order once it is asked to stop.
+    pub stop_timeout: Duration,
+    /// Asks the run to stop, as SIGINT and SIGTERM do.
+    pub stop: Arc<AtomicBool>,
+    /// Whether to print logs, the table while running (on a terminal only) and the one at the end.
+    pub print: bool,
+}
+
+impl Options {
+    /// Runs in this folder with the defaults: own program, 10 s to stop, printing.
+    #[must_use]
+    pub fn new(run_dir: &Path) -> Self {
+        Self {
+            run_dir: run_dir.to_owned(),
+            command: None,
+            stop_timeout: Duration::from_secs(10),
+            stop: Arc::default(),
+            print: true,
+        }
+    }
+}
+
+/// Why a run failed.
+#[derive(Debug, thiserror::Error)]
+pub enum SupervisorError {
+    /// The graph would not run.
+    #[error(transparent)]
+    Graph(#[from] GraphError),
+    /// A file or folder of the run.
+    #[error("{}: {source}: check the run folder", path.display())]
+    File {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The folder belongs to a run that goes on.
+    #[error("{}: process {pid} runs a graph there: take another folder or stop it", run_dir.display())]
+    Busy {
+        /// The folder.
+        run_dir: PathBuf,
+        /// Its supervisor.
+        pid: u32,
+    },
+    /// Shared memory.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// A process could not be started.
+    #[error("node `{node}` could not be started: {source}")]
+    Start {
+        /// The node.
+        node: String,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A node ended with an error, which no restart would heal.
+    #[error("node `{node}` failed ({how}):\n{words}")]
+    Failed {
+        /// The node.
+        node: String,
+        /// How its process ended.
+        how: String,
+        /// The last lines that it wrote.
+        words: String,
+    },
+    /// A node died too often.
+    #[error("node `{node}` died ({how}); gave up after {restarts} restarts. Its last words:\n{words}")]
+    GaveUp {
+        /// The node.
+        node: String,
+        /// How its process ended.
+        how: String,
+        /// How often it was started again.
+        restarts: u64,
+        /// The last lines that it wrote.
+        words: String,
+    },
+    /// Asked to stop, some nodes did not.
+    #[error("asked to stop, {0} did not end in time and had to be killed: their last frames may be missing")]
+    Killed(String),
+}
+
+/// Runs a graph to its end, or until it is asked to stop.
+///
+/// # Errors
+/// When the graph has problems, or a node fails or dies too often. Nothing of the run is left in shared memory or
+/// temporary folders either way.
+pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summary, SupervisorError> {
+    crate::graph::check(graph, registry).map_err(GraphError::Problems)?;
+    let plan = Plan::new(graph, registry)?;
+    let territory = territory::Territory::claim(&options.run_dir, plan.nodes.len())?;
+    let file = options.run_dir.join("graph.yaml");
+    std::fs::write(&file, graph.to_yaml()?).map_err(|source| SupervisorError::File { path: file.clone(), source })?;
+    let result = control::Control::new(&plan, &territory, options, &file)?.run();
+    let summary = Summary::of(&plan, territory.board());
+    drop(territory);
+    if options.print {
+        summary::print(&summary);
+    }
+    let asked_to_stop = result?;
+    let summary = Summary { asked_to_stop, ..summary };
+    summary.write(&options.run_dir.join("summary.json"))?;
+    Ok(summary)
+}

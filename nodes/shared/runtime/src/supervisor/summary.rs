@@ -1,0 +1,102 @@
+use super::SupervisorError;
+use crate::board::{Board, Word};
+use crate::plan::Plan;
+use serde::Serialize;
+use std::fmt;
+use std::io::Write;
+use std::path::Path;
+
+/// What a run did, by node.
+#[derive(Debug, Clone, Serialize)]
+pub struct Summary {
+    /// The nodes in the graph's order.
+    pub nodes: Vec<NodeSummary>,
+    /// Whether the run was asked to stop before its end.
+    pub asked_to_stop: bool,
+}
+
+/// What one node did.
+#[derive(Debug, Clone, Serialize)]
+pub struct NodeSummary {
+    /// Its name.
+    pub name: String,
+    /// Frames handled, each counted once.
+    pub frames: u64,
+    /// Frames per second between the first and the last.
+    pub rate_hz: Option<f64>,
+    /// Milliseconds of work in a frame: median and 99th percentile, good to 6 %.
+    pub work_ms: Option<[f64; 2]>,
+    /// Milliseconds from the source to this node's end of the frame: median and 99th percentile.
+    pub age_ms: Option<[f64; 2]>,
+    /// Frames given up for newer ones (live only).
+    pub drops: u64,
+    /// Frames handled again after a death.
+    pub repeats: u64,
+    /// How often it was started again.
+    pub restarts: u64,
+}
+
+impl Summary {
+    pub(super) fn of(plan: &Plan, board: &Board) -> Self {
+        let nodes = plan.nodes.iter().enumerate();
+        Self { nodes: nodes.map(|(i, node)| NodeSummary::of(&node.name, board, i)).collect(), asked_to_stop: false }
+    }
+
+    pub(super) fn write(&self, path: &Path) -> Result<(), SupervisorError> {
+        let text = serde_json::to_vec_pretty(self).map_err(std::io::Error::from);
+        text.and_then(|text| std::fs::write(path, text))
+            .map_err(|source| SupervisorError::File { path: path.to_owned(), source })
+    }
+}
+
+impl NodeSummary {
+    fn of(name: &str, board: &Board, node: usize) -> Self {
+        let frames = board.get(node, Word::Frames);
+        let seconds = board.get(node, Word::LastNs).saturating_sub(board.get(node, Word::FirstNs)) as f64 * 1e-9;
+        let both = |read: &dyn Fn(f64) -> Option<f64>| Some([read(0.5)?, read(0.99)?]);
+        Self {
+            name: name.to_owned(),
+            frames,
+            rate_hz: (frames > 1 && seconds > 0.0).then(|| (frames - 1) as f64 / seconds),
+            work_ms: both(&|share| board.work_ms(node, share)),
+            age_ms: both(&|share| board.age_ms(node, share)),
+            drops: board.get(node, Word::Drops),
+            repeats: board.get(node, Word::Repeats),
+            restarts: board.get(node, Word::Restarts),
+        }
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let width = self.nodes.iter().map(|node| node.name.len()).chain([4]).max().unwrap_or(4);
+        writeln!(
+            f,
+            "{:width$} {:>8} {:>8} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
+            "node", "frames", "rate/s", "work p50", "p99 ms", "age p50", "p99 ms", "drops", "restarts"
+        )?;
+        for node in &self.nodes {
+            let ms = |pair: Option<[f64; 2]>, i: usize| pair.map_or("-".to_owned(), |pair| format!("{:.2}", pair[i]));
+            writeln!(
+                f,
+                "{:width$} {:>8} {:>8} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
+                node.name,
+                node.frames,
+                node.rate_hz.map_or("-".to_owned(), |rate| format!("{rate:.1}")),
+                ms(node.work_ms, 0),
+                ms(node.work_ms, 1),
+                ms(node.age_ms, 0),
+                ms(node.age_ms, 1),
+                node.drops,
+                node.restarts
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// Prints the table of a run that has ended.
+pub(super) fn print(summary: &Summary) {
+    // Nobody can be told when standard error is closed.
+    let _ = write!(std::io::stderr().lock(), "{summary}");
+}
