@@ -16,6 +16,7 @@ mod objects;
 mod overlay;
 mod ply;
 pub mod raster;
+pub mod shapes;
 mod texture;
 
 pub use bop::{BopFrame, BopScene, InitialPose, list_scenes};
