@@ -1,0 +1,160 @@
+//! The environment variables by which ROS 2 sets up discovery. ros2-client reads none of them.
+
+use std::net::{IpAddr, Ipv4Addr};
+
+/// The highest domain whose first participants' ports fit into 16 bits (DDSI-RTPS 9.6.1.1: 7400 + 250 d).
+const MAX_DOMAIN_ID: u16 = 232;
+
+/// Whom the participant may find by itself (`ROS_AUTOMATIC_DISCOVERY_RANGE`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DiscoveryRange {
+    /// Nobody, not even on this host.
+    Off,
+    /// Participants on this host, over 127.0.0.1.
+    Localhost,
+    /// Whoever multicast reaches on the networks of this host; ROS 2's default.
+    Subnet,
+    /// What the middleware does by itself: for RustDDS the same as `Subnet`.
+    SystemDefault,
+}
+
+impl DiscoveryRange {
+    /// The addresses whose interfaces may be used; `None` for all.
+    #[must_use]
+    pub fn only_networks(self) -> Option<Vec<IpAddr>> {
+        match self {
+            Self::Off => Some(Vec::new()),
+            Self::Localhost => Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]),
+            Self::Subnet | Self::SystemDefault => None,
+        }
+    }
+}
+
+/// What the environment says about DDS.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DdsEnvironment {
+    /// `ROS_DOMAIN_ID`, 0..=232; 0 where it is not set.
+    pub domain_id: u16,
+    /// `ROS_LOCALHOST_ONLY` and `ROS_AUTOMATIC_DISCOVERY_RANGE` together; the former wins, as in rcl.
+    pub range: DiscoveryRange,
+}
+
+/// An environment variable without meaning.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("environment variable {variable}={value}: set it to {remedy}, or unset it")]
+pub struct EnvironmentError {
+    variable: &'static str,
+    value: String,
+    remedy: &'static str,
+}
+
+impl DdsEnvironment {
+    /// Reads the environment of this process.
+    ///
+    /// # Errors
+    /// When a variable holds something that ROS 2 gives no meaning.
+    pub fn of_process() -> Result<Self, EnvironmentError> {
+        Self::read(|name| std::env::var_os(name).map(|value| value.to_string_lossy().into_owned()))
+    }
+
+    /// Reads variables from wherever they are. An empty variable counts as unset.
+    ///
+    /// # Errors
+    /// When a variable holds something that ROS 2 gives no meaning.
+    pub fn read(variable: impl Fn(&str) -> Option<String>) -> Result<Self, EnvironmentError> {
+        let get = |name: &str| variable(name).filter(|value| !value.is_empty());
+        if let Some(peers) = get("ROS_STATIC_PEERS") {
+            log::warn!("ROS_STATIC_PEERS={peers} is ignored: RustDDS finds peers by multicast and on this host only");
+        }
+        let domain_id = get("ROS_DOMAIN_ID").map_or(Ok(0), domain_id)?;
+        let localhost_only = get("ROS_LOCALHOST_ONLY").map_or(Ok(false), localhost_only)?;
+        let range = get("ROS_AUTOMATIC_DISCOVERY_RANGE").map_or(Ok(DiscoveryRange::Subnet), range)?;
+        Ok(Self { domain_id, range: if localhost_only { DiscoveryRange::Localhost } else { range } })
+    }
+}
+
+fn domain_id(value: String) -> Result<u16, EnvironmentError> {
+    match value.parse() {
+        Ok(id) if id <= MAX_DOMAIN_ID => Ok(id),
+        _ => Err(EnvironmentError { variable: "ROS_DOMAIN_ID", value, remedy: "a whole number from 0 to 232" }),
+    }
+}
+
+fn localhost_only(value: String) -> Result<bool, EnvironmentError> {
+    match value.as_str() {
+        "0" => Ok(false),
+        "1" => Ok(true),
+        _ => Err(EnvironmentError { variable: "ROS_LOCALHOST_ONLY", value, remedy: "0 or 1" }),
+    }
+}
+
+fn range(value: String) -> Result<DiscoveryRange, EnvironmentError> {
+    match value.as_str() {
+        "OFF" => Ok(DiscoveryRange::Off),
+        "LOCALHOST" => Ok(DiscoveryRange::Localhost),
+        "SUBNET" => Ok(DiscoveryRange::Subnet),
+        "SYSTEM_DEFAULT" => Ok(DiscoveryRange::SystemDefault),
+        _ => Err(EnvironmentError {
+            variable: "ROS_AUTOMATIC_DISCOVERY_RANGE",
+            value,
+            remedy: "OFF, LOCALHOST, SUBNET or SYSTEM_DEFAULT",
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(variables: &[(&str, &str)]) -> Result<DdsEnvironment, EnvironmentError> {
+        DdsEnvironment::read(|name| variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).into()))
+    }
+
+    #[test]
+    fn nothing_set_is_domain_zero_on_the_subnet() {
+        let expected = DdsEnvironment { domain_id: 0, range: DiscoveryRange::Subnet };
+        assert_eq!(read(&[]).unwrap(), expected);
+        assert_eq!(read(&[("ROS_DOMAIN_ID", ""), ("ROS_LOCALHOST_ONLY", "")]).unwrap(), expected);
+    }
+
+    #[test]
+    fn each_variable_is_honoured() {
+        let all = [("ROS_DOMAIN_ID", "42"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")];
+        assert_eq!(read(&all).unwrap(), DdsEnvironment { domain_id: 42, range: DiscoveryRange::Off });
+        for (name, range) in [
+            ("LOCALHOST", DiscoveryRange::Localhost),
+            ("SUBNET", DiscoveryRange::Subnet),
+            ("SYSTEM_DEFAULT", DiscoveryRange::SystemDefault),
+        ] {
+            assert_eq!(read(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", name)]).unwrap().range, range);
+        }
+    }
+
+    #[test]
+    fn localhost_only_wins_when_it_is_1() {
+        let with = |flag| read(&[("ROS_LOCALHOST_ONLY", flag), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]);
+        assert_eq!(with("1").unwrap().range, DiscoveryRange::Localhost);
+        assert_eq!(with("0").unwrap().range, DiscoveryRange::Off);
+    }
+
+    #[test]
+    fn ranges_name_their_networks() {
+        assert_eq!(DiscoveryRange::Off.only_networks(), Some(vec![]));
+        assert_eq!(DiscoveryRange::Localhost.only_networks(), Some(vec!["127.0.0.1".parse().unwrap()]));
+        assert_eq!(DiscoveryRange::Subnet.only_networks(), None);
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_name_value_and_remedy() {
+        for (name, value) in [
+            ("ROS_DOMAIN_ID", "233"),
+            ("ROS_DOMAIN_ID", "-1"),
+            ("ROS_DOMAIN_ID", "zero"),
+            ("ROS_LOCALHOST_ONLY", "yes"),
+            ("ROS_AUTOMATIC_DISCOVERY_RANGE", "subnet"),
+        ] {
+            let text = read(&[(name, value)]).unwrap_err().to_string();
+            assert!(text.contains(name) && text.contains(value) && text.contains("set it to"), "{text}");
+        }
+    }
+}

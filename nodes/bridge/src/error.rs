@@ -1,0 +1,103 @@
+use crate::EnvironmentError;
+use pseudoflow_msgs::ros::{DetectionError, ImageError, IntrinsicsError};
+
+/// What goes wrong at the edge to ROS 2.
+#[derive(Debug, thiserror::Error)]
+pub enum BridgeError {
+    /// The environment cannot be honoured.
+    #[error(transparent)]
+    Environment(#[from] EnvironmentError),
+    /// DDS did not give what was asked for.
+    #[error(
+        "DDS: cannot create {what}: {cause}; are there free UDP ports and no more than a dozen participants on this host?"
+    )]
+    Create {
+        /// Participant, node, publisher or subscription, with its topic.
+        what: String,
+        /// What ros2-client said.
+        cause: String,
+    },
+    /// A name that ROS 2 does not allow.
+    #[error("`{field}: {name}` is no ROS 2 name: {cause}; use letters, digits, `_` and `/`, such as /camera/image_raw")]
+    Name {
+        /// Configuration field.
+        field: &'static str,
+        /// Its value.
+        name: String,
+        /// What ros2-client said.
+        cause: String,
+    },
+    /// A number outside its range.
+    #[error("`{field}: {value}`: must be from {min} to {max}")]
+    Range {
+        /// Configuration field.
+        field: &'static str,
+        /// Its value.
+        value: u64,
+        /// Smallest.
+        min: u64,
+        /// Largest.
+        max: u64,
+    },
+    /// Two objects that could not be told apart outside.
+    #[error("`object_names`: `{0}` is another object's name or id: give each object a name of its own")]
+    AmbiguousName(String),
+    /// A stamp that ROS time cannot hold.
+    #[error("frame {index} has stamp {stamp_ns} ns, outside of what builtin_interfaces/Time holds (1901 to 2038)")]
+    Stamp {
+        /// Frame.
+        index: u64,
+        /// Its stamp.
+        stamp_ns: i64,
+    },
+    /// A message that DDS did not take.
+    #[error("DDS: cannot publish on {topic}: {cause}")]
+    Publish {
+        /// Topic.
+        topic: &'static str,
+        /// What ros2-client said.
+        cause: String,
+    },
+    /// A calibration that cannot be used.
+    #[error("topic {topic}: {cause}")]
+    Intrinsics {
+        /// Topic of the CameraInfo.
+        topic: String,
+        /// What is wrong with it.
+        cause: IntrinsicsError,
+    },
+    /// A camera's frame name that does not fit.
+    #[error("topic {topic}: frame_id `{frame_id}` is longer than 63 bytes: shorten it in the camera driver")]
+    FrameId {
+        /// Topic of the image.
+        topic: String,
+        /// The name.
+        frame_id: String,
+    },
+    /// An image and its calibration do not fit.
+    #[error(
+        "topic {topic}: an image of {image:?} pixels came with a CameraInfo for {info:?}: publish both from one driver, unresized"
+    )]
+    Resized {
+        /// Topic of the image.
+        topic: String,
+        /// Width and height.
+        image: (u32, u32),
+        /// Width and height of the calibration.
+        info: (u32, u32),
+    },
+    /// An image that cannot be read.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// A file in a CompressedImage that cannot be read.
+    #[error("CompressedImage of format `{format}`: {cause}; publish jpeg or png")]
+    Compressed {
+        /// The message's `format`.
+        format: String,
+        /// What the decoder said.
+        cause: String,
+    },
+    /// A detection that is no initial pose.
+    #[error(transparent)]
+    Detection(#[from] DetectionError),
+}
