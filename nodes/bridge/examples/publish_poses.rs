@@ -4,7 +4,7 @@
 //! object 5 (ok, score 0.9) at (0.001 i, -0.002 i, 1 + 0.003 i) m, turned about z by 0.01 i rad; object 7 the
 //! same one metre to the right with score 0.5; object 9 rejected.
 
-use pseudoflow_bridge::{BridgeSink, PublishConfig};
+use pseudoflow_bridge::{Bridge, BridgeConfig};
 use pseudoflow_msgs::{
     AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, ObjectPose, ObjectPoses, PoseSource, PoseStatus,
 };
@@ -15,14 +15,14 @@ const FIRST_STAMP_NS: i64 = 1_700_000_000_000_000_000;
 const FRAME_NS: i64 = 33_333_333;
 
 fn main() -> Result<(), NodeError> {
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info,rustdds=error,ros2_client=warn"))
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info,rustdds=off,ros2_client=error"))
         .init();
     let mut arguments = std::env::args().skip(1).map(|text| text.parse::<u64>());
     let mut next = || arguments.next().ok_or("usage: publish_poses FRAMES HZ SUBSCRIBERS")?.map_err(NodeError::from);
     let (frames, hz, subscribers) = (next()?, next()?, next()?);
 
     let context = Context { name: "bridge".into(), seed: 0, out_dir: ".".into(), restarts: 0, replay: true };
-    let mut bridge = BridgeSink::create(PublishConfig::default(), &context)?;
+    let mut bridge = Bridge::create(BridgeConfig::default(), &context)?;
     wait(&bridge, subscribers as usize)?;
     for index in 0..frames {
         let stamp_ns = FIRST_STAMP_NS + index as i64 * FRAME_NS;
@@ -33,7 +33,7 @@ fn main() -> Result<(), NodeError> {
     bridge.finish(&context)
 }
 
-fn wait(bridge: &BridgeSink, subscribers: usize) -> Result<(), NodeError> {
+fn wait(bridge: &Bridge, subscribers: usize) -> Result<(), NodeError> {
     let start = Instant::now();
     while bridge.participant().subscribers("/object_pose") < subscribers {
         if start.elapsed() > Duration::from_secs(60) {

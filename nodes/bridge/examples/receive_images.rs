@@ -1,4 +1,4 @@
-//! Runs the node `camera`, for the interop tests and for measuring a frame's hop over DDS:
+//! Runs the camera of the node `bridge`, for the interop tests and for measuring a frame's hop over DDS:
 //! `receive_images raw|compressed FRAMES`.
 //!
 //! Expects 640 x 480 images on `/camera/image` with `/camera/camera_info` (fx 600, fy 601, cx 319.5, cy 239.5) and
@@ -7,13 +7,13 @@
 
 #![allow(clippy::print_stdout, reason = "a measurement for people and scripts")]
 
-use pseudoflow_bridge::{CameraConfig, CameraSource, PublishConfig, Transport};
+use pseudoflow_bridge::{Bridge, BridgeConfig, CameraConfig, Transport};
 use pseudoflow_msgs::{CameraFrame, Message, ObjectPoses};
 use pseudoflow_runtime::{Context, InMemory, Inputs, Node, NodeError, Produced};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 fn main() -> Result<(), NodeError> {
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info,rustdds=error,ros2_client=warn"))
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info,rustdds=off,ros2_client=error"))
         .init();
     let mut arguments = std::env::args().skip(1);
     let transport = match arguments.next().as_deref() {
@@ -23,7 +23,7 @@ fn main() -> Result<(), NodeError> {
     };
     let frames: u64 = arguments.next().ok_or("usage: receive_images raw|compressed FRAMES")?.parse()?;
     let context = Context { name: "camera".into(), seed: 0, out_dir: ".".into(), restarts: 0, replay: false };
-    let mut camera = CameraSource::create(config(transport), &context)?;
+    let mut camera = Bridge::create(config(transport), &context)?;
     let mut hops_us = receive(&mut camera, frames, &context)?;
     hops_us.sort_unstable();
     let at = |quantile: f64| hops_us[((hops_us.len() - 1) as f64 * quantile) as usize];
@@ -31,19 +31,19 @@ fn main() -> Result<(), NodeError> {
     Ok(())
 }
 
-fn config(transport: Transport) -> CameraConfig {
-    CameraConfig {
+fn config(transport: Transport) -> BridgeConfig {
+    let camera = CameraConfig {
         image: "/camera/image".into(),
         transport,
         camera_info: "/camera/camera_info".into(),
         rectified: false,
         detections: Some("/camera/detections".into()),
         queue_depth: 30,
-        publish: PublishConfig { node_name: "camera".into(), ..PublishConfig::default() },
-    }
+    };
+    BridgeConfig { camera: Some(camera), ..BridgeConfig::default() }
 }
 
-fn receive(camera: &mut CameraSource, frames: u64, context: &Context) -> Result<Vec<i64>, NodeError> {
+fn receive(camera: &mut Bridge, frames: u64, context: &Context) -> Result<Vec<i64>, NodeError> {
     let tolerance = if config_is_lossless() { 0 } else { 4 };
     let mut hops_us = Vec::new();
     let mut outputs = InMemory::default();

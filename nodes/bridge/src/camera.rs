@@ -41,12 +41,12 @@ impl<M: CameraImage> Topics<M> {
     fn open(participant: &mut Participant, config: &CameraConfig) -> Result<Self, BridgeError> {
         let qos = sensor_qos(config.queue_depth);
         let detections = match &config.detections {
-            Some(topic) => Some(participant.subscription(&topic_name("detections", topic)?, &qos)?),
+            Some(topic) => Some(participant.subscription(&topic_name("camera.detections", topic)?, &qos)?),
             None => None,
         };
         Ok(Self {
-            images: participant.subscription(&topic_name("image", &config.image)?, &qos)?,
-            infos: participant.subscription(&topic_name("camera_info", &config.camera_info)?, &qos)?,
+            images: participant.subscription(&topic_name("camera.image", &config.image)?, &qos)?,
+            infos: participant.subscription(&topic_name("camera.camera_info", &config.camera_info)?, &qos)?,
             sync: StampSync::new(config.queue_depth as usize, detections.is_some()),
             detections,
             config: config.clone(),

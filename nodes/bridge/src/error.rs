@@ -97,6 +97,9 @@ pub enum BridgeError {
         /// What the decoder said.
         cause: String,
     },
+    /// The graph takes frames from a bridge without a camera.
+    #[error("the graph takes frames from the bridge, but its configuration names no camera: add `camera: ...`")]
+    NoCamera,
     /// A detection that is no initial pose.
     #[error(transparent)]
     Detection(#[from] DetectionError),

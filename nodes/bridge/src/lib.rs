@@ -1,9 +1,8 @@
 //! The edge to ROS 2: poses out as DDS messages, a live camera in. Nothing else in the house sees DDS.
 //!
-//! Each of the two nodes owns the one [`Participant`] of its process:
-//! [`BridgeSink`] (`bridge`) publishes the poses of a replay or of a live run; [`CameraSource`] (`camera`) is the source of a
-//! live graph, and also publishes when the graph feeds the refined poses back to it, so that a live run too has
-//! one participant.
+//! [`Bridge`] owns the one [`Participant`] of a graph. Beside a player it only takes `poses` and `frame` in and is the end
+//! of the line. In a live graph it is the source as well (`frame` and `initial_poses` out, `camera` in its
+//! configuration), and the refined poses come back to it.
 //!
 //! | topic | type | QoS | content |
 //! |---|---|---|---|
@@ -16,23 +15,23 @@
 //!
 //! Every message out carries the image's stamp and the name of its optical frame; no clock is read. A best-effort
 //! subscription also takes what a reliable publisher sends. RustDDS speaks about each datagram that it cannot
-//! use: filter its log (`warn,rustdds=error`).
+//! use, also at an orderly end: filter its log (`info,rustdds=off,ros2_client=error`).
 
 mod camera;
+mod config;
 mod decode;
 mod environment;
 mod error;
+mod node;
 mod participant;
 mod publish;
 mod qos;
-mod sink;
-mod source;
 mod sync;
 
+pub use config::{BridgeConfig, CameraConfig, Transport};
 pub use environment::{DdsEnvironment, DiscoveryRange, EnvironmentError};
 pub use error::BridgeError;
+pub use node::Bridge;
 pub use participant::Participant;
-pub use publish::{PosePublisher, PublishConfig, Published};
+pub use publish::{PosePublisher, Published};
 pub use qos::{publisher_qos, sensor_qos};
-pub use sink::BridgeSink;
-pub use source::{CameraConfig, CameraSource, Transport};
