@@ -1,2 +1,85 @@
-//! The one binary, `pseudoflow`.
-fn main() {}
+//! The one binary, `pseudoflow`: starts graphs and nodes, and holds the offline commands.
+
+mod commands;
+mod pipeline;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+use pseudoflow_runtime::Registry;
+use std::process::ExitCode;
+
+/// 6D object poses from RGB images: render, compare by flow, solve, adapt.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Plays a small recording through all node processes and prints what came out.
+    Demo(commands::demo::Args),
+    /// Starts, watches and ends the nodes of a graph.
+    Run(commands::run::Args),
+    /// Checks a graph without starting anything.
+    Check(commands::run::CheckArgs),
+    /// Prints the JSON schema of graphs.
+    Schema,
+    /// One node of a run, as the supervisor starts it.
+    #[command(hide = true)]
+    Node(commands::run::NodeArgs),
+    /// Trains a flow network on synthetic renderings of an object set.
+    Pretrain(commands::pretrain::Args),
+    /// Writes weights as a standard ONNX file.
+    Export(commands::export::Args),
+    /// Scores poses on a BOP dataset: refined here, or those of a result file.
+    Eval(commands::eval::Args),
+    /// Shows the difference of two reports, object by object.
+    Compare(commands::eval::CompareArgs),
+    /// Makes, describes and rescues recordings.
+    #[command(subcommand)]
+    Bag(commands::bag::Command),
+}
+
+/// Every kind of node that graphs may name.
+fn registry() -> Registry {
+    Registry::new()
+        .with::<pseudoflow_player::PlayerNode>()
+        .with::<pseudoflow_bridge::CameraSource>()
+        .with::<pseudoflow_renderer::RendererNode>()
+        .with::<pseudoflow_flow::FlowNode>()
+        .with::<pseudoflow_pnp::PnpNode>()
+        .with::<pseudoflow_bridge::BridgeSink>()
+        .with::<pseudoflow_evaluator::EvaluatorNode>()
+        .with::<pseudoflow_recorder::RecorderNode>()
+}
+
+/// Quiet libraries: RustDDS speaks about each datagram it cannot use.
+const LOG_FILTER: &str = "info,rustdds=error,ros2_client=error,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,ort=warn";
+
+fn main() -> ExitCode {
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or(LOG_FILTER)).init();
+    match dispatch(Cli::parse().command) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {}", commands::chain(&error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn dispatch(command: Command) -> Result<ExitCode> {
+    match command {
+        Command::Demo(args) => commands::demo::run(&args),
+        Command::Run(args) => commands::run::run(&args),
+        Command::Check(args) => commands::run::check(&args),
+        Command::Schema => commands::run::schema(),
+        Command::Node(args) => commands::run::node(&args),
+        Command::Pretrain(args) => commands::pretrain::run(args),
+        Command::Export(args) => commands::export::run(&args),
+        Command::Eval(args) => commands::eval::run(&args),
+        Command::Compare(args) => commands::eval::compare(&args),
+        Command::Bag(command) => commands::bag::run(&command),
+    }
+}

@@ -14,5 +14,8 @@ mod symmetry;
 pub use camera::{Intrinsics, IntrinsicsError};
 pub use crop::Crop;
 pub use jitter::{Jitter, standard_normal};
-pub use pose::{Pose, PoseError, exp_se3, log_se3, pose_from_row_major, rotation_angle_rad, rotation_row_major};
+pub use pose::{
+    Pose, PoseError, exp_se3, log_se3, pose_from_quaternion, pose_from_row_major, quaternion_xyzw, rotation_angle_rad,
+    rotation_row_major,
+};
 pub use symmetry::{ContinuousSymmetry, Symmetries};

@@ -1,4 +1,4 @@
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 /// A rigid transform, named `a_from_b`: `a_from_b * point_in_b` is the point in `a`. Metres.
 pub type Pose = Isometry3<f64>;
@@ -58,6 +58,25 @@ pub fn rotation_row_major(pose: &Pose) -> [f64; 9] {
     std::array::from_fn(|i| m[(i / 3, i % 3)])
 }
 
+/// From a quaternion x, y, z, w (any length but zero) and a translation in metres.
+///
+/// # Errors
+/// When a number is not finite or the quaternion has no length.
+pub fn pose_from_quaternion(rotation_xyzw: &[f64; 4], translation_m: &[f64; 3]) -> Result<Pose, PoseError> {
+    let length = rotation_xyzw.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if !length.is_finite() || length < 1e-9 || translation_m.iter().any(|v| !v.is_finite()) {
+        return Err(PoseError::NotFinite);
+    }
+    let rotation = UnitQuaternion::from_quaternion(Quaternion::from(*rotation_xyzw));
+    Ok(Pose::from_parts(Translation3::from(Vector3::from(*translation_m)), rotation))
+}
+
+/// The rotation of a pose as a unit quaternion x, y, z, w.
+#[must_use]
+pub fn quaternion_xyzw(pose: &Pose) -> [f64; 4] {
+    pose.rotation.coords.into()
+}
+
 /// The angle of the rotation from `a` to `b`, radians in `[0, pi]`.
 #[must_use]
 pub fn rotation_angle_rad(a: &Pose, b: &Pose) -> f64 {
@@ -109,6 +128,14 @@ mod tests {
         let pose = exp_se3(&Vector6::new(0.1, -0.3, 0.2, 0.5, -1.0, 0.3));
         let back = pose_from_row_major(&rotation_row_major(&pose), &[0.1, 0.2, 0.3]).unwrap();
         assert!(rotation_angle_rad(&back, &pose) < 1e-9);
+    }
+
+    #[test]
+    fn quaternions_round_trip() {
+        let pose = exp_se3(&Vector6::new(0.1, -0.3, 0.2, 0.5, -1.0, 0.3));
+        let back = pose_from_quaternion(&quaternion_xyzw(&pose), &pose.translation.vector.into()).unwrap();
+        assert!((back.to_homogeneous() - pose.to_homogeneous()).norm() < 1e-12);
+        assert_eq!(pose_from_quaternion(&[0.0; 4], &[0.0; 3]), Err(PoseError::NotFinite));
     }
 
     #[test]

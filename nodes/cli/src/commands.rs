@@ -1,0 +1,30 @@
+//! One file per command; each parses its arguments, calls a library and prints.
+#![allow(clippy::print_stdout, reason = "the commands talk to people")]
+
+pub(crate) mod bag;
+pub(crate) mod demo;
+pub(crate) mod eval;
+pub(crate) mod export;
+pub(crate) mod pretrain;
+pub(crate) mod run;
+
+/// An error and its causes in one line, none said twice.
+pub(crate) fn chain(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |text, cause| {
+        let cause = cause.to_string();
+        match text {
+            text if text.is_empty() => cause,
+            text if text.contains(&cause) => text,
+            text => format!("{text}: {cause}"),
+        }
+    })
+}
+
+/// A progress bar on standard error, silent where that is no terminal.
+pub(crate) fn progress_bar(length: u64, what: &str) -> indicatif::ProgressBar {
+    let bar = indicatif::ProgressBar::new(length);
+    let style = indicatif::ProgressStyle::with_template("{prefix} {wide_bar} {pos}/{len} {per_sec} eta {eta} {msg}");
+    bar.set_style(style.unwrap_or_else(|_| indicatif::ProgressStyle::default_bar()));
+    bar.set_prefix(what.to_owned());
+    bar
+}

@@ -1,0 +1,240 @@
+use super::progress_bar;
+use crate::pipeline::{Frame, Pipeline, PipelineConfig};
+use anyhow::{Context as _, Result, bail};
+use pseudoflow_evaluator::{EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset};
+use pseudoflow_flow::{Backend, EngineConfig, FlowConfig};
+use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
+use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
+use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
+use pseudoflow_pnp::PnpNodeConfig;
+use pseudoflow_renderer::RendererConfig;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// The dataset: a folder with `models/` and splits, as BOP lays them out.
+    #[arg(long)]
+    dataset: PathBuf,
+    /// The split.
+    #[arg(long, default_value = "test")]
+    split: String,
+    /// Weights to refine with: `.safetensors` or `.onnx`. Without them, `--csv` is scored.
+    #[arg(long)]
+    weights: Option<PathBuf>,
+    /// Initial poses: a BOP result file. The default is each scene's `init_poses.json`.
+    #[arg(long)]
+    init: Option<PathBuf>,
+    /// A target list such as `test_targets_bop19.json`.
+    #[arg(long)]
+    targets: Option<PathBuf>,
+    /// The result file: written when weights are given, else read.
+    #[arg(long)]
+    csv: PathBuf,
+    /// Folder for `report.json` and `report.html`.
+    #[arg(long)]
+    report: Option<PathBuf>,
+    /// Width and height of the crops, pixels.
+    #[arg(long, default_value_t = 128)]
+    size: u32,
+    /// Iterations of the network.
+    #[arg(long, default_value_t = 12)]
+    iterations: u32,
+    /// Refinement passes.
+    #[arg(long, default_value_t = 1)]
+    passes: u32,
+    /// Engine of the flow network: auto, onnxruntime or rten.
+    #[arg(long, default_value = "auto")]
+    backend: String,
+    /// ONNX Runtime's library.
+    #[arg(long, env = "PSEUDOFLOW_ONNXRUNTIME")]
+    onnxruntime: Option<PathBuf>,
+    /// Accept every refined pose, also those that the gate would refuse.
+    #[arg(long)]
+    no_gate: bool,
+    /// Go on with the `.part` file of an interrupted evaluation.
+    #[arg(long)]
+    resume: bool,
+    /// Seed of the run.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(clap::Args)]
+pub(crate) struct CompareArgs {
+    /// The report to begin from.
+    before: PathBuf,
+    /// The report to compare with it.
+    after: PathBuf,
+    /// The HTML page to write.
+    #[arg(long, default_value = "compare.html")]
+    out: PathBuf,
+}
+
+pub(crate) fn run(args: &Args) -> Result<ExitCode> {
+    let dataset = load_dataset(&args.dataset, &args.split, args.targets.as_deref())?;
+    let sets = match &args.weights {
+        Some(weights) => refine_dataset(args, weights, &dataset)?,
+        None => {
+            let estimates = read_results(&args.csv, Some(&dataset.known))?;
+            vec![NamedEstimates { name: "estimate".into(), estimates }]
+        }
+    };
+    let bar = progress_bar(dataset.images.len() as u64, "score");
+    let report = evaluate(&dataset, &sets, &|done, _| bar.set_position(done as u64))?;
+    bar.finish_and_clear();
+    print!("{}", table(&report));
+    if let Some(folder) = &args.report {
+        std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
+        report.write_json(&folder.join("report.json"))?;
+        report.write_html(&folder.join("report.html"), &dataset, &sets)?;
+        println!("report: {}", folder.join("report.html").display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Refines every image; the CSV grows image by image beside its place and is renamed when whole.
+fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
+    let initial = match &args.init {
+        Some(path) => read_results(path, Some(&dataset.known))?,
+        None => dataset.initial_estimates(),
+    };
+    let mut pipeline = Pipeline::open(pipeline_config(args, weights, dataset)?)?;
+    let part = args.csv.with_extension("csv.part");
+    let (mut writer, mut refined) = match args.resume {
+        true => ResultsWriter::resume(&part)?,
+        false => (ResultsWriter::create(&part)?, Vec::new()),
+    };
+    let bar = progress_bar(dataset.images.len() as u64, "refine");
+    for image in &dataset.images {
+        let is_here = |e: &&Estimate| (e.scene_id, e.image_id) == (image.scene_id, image.frame.image_id);
+        if !refined.iter().any(|e| is_here(&e)) {
+            let here: Vec<&Estimate> = initial.iter().filter(is_here).collect();
+            let estimates = refine_image(&mut pipeline, image, &here)?;
+            writer.write_image(&estimates)?;
+            refined.extend(estimates);
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    std::fs::rename(&part, &args.csv).with_context(|| format!("{}: cannot be written", args.csv.display()))?;
+    Ok(vec![
+        NamedEstimates { name: "init".into(), estimates: initial },
+        NamedEstimates { name: "refined".into(), estimates: refined },
+    ])
+}
+
+fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<PipelineConfig> {
+    let backend = match args.backend.as_str() {
+        "auto" => Backend::Auto,
+        "onnxruntime" => Backend::OnnxRuntime,
+        "rten" => Backend::Rten,
+        other => bail!("`--backend {other}`: write auto, onnxruntime or rten"),
+    };
+    let mut pnp = PnpNodeConfig::default();
+    if args.no_gate {
+        pnp.gate = None;
+    }
+    Ok(PipelineConfig {
+        renderer: RendererConfig::new(dataset.objects.folder().to_owned(), args.size),
+        flow: FlowConfig {
+            model: weights.to_owned(),
+            size_px: args.size,
+            iterations: args.iterations,
+            max_batch: 16,
+            engine: EngineConfig { backend, onnxruntime: args.onnxruntime.clone(), ..EngineConfig::default() },
+        },
+        pnp,
+        passes: args.passes,
+        seed: args.seed,
+    })
+}
+
+fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Estimate]) -> Result<Vec<Estimate>> {
+    let rgb = image.frame.load_image()?;
+    let k = &image.frame.intrinsics;
+    let header = CameraFrameHeader {
+        width: rgb.width(),
+        height: rgb.height(),
+        scene_id: image.scene_id,
+        image_id: image.frame.image_id,
+        intrinsics: [k.fx, k.fy, k.cx, k.cy],
+        frame_id: [0; pseudoflow_msgs::FRAME_ID_BYTES],
+    };
+    let poses: Vec<ObjectPose> = initial.iter().enumerate().map(|(i, e)| given(e, i as u32)).collect();
+    let index = u64::from(image.scene_id) << 32 | u64::from(image.frame.image_id);
+    let refined = pipeline.refine(&Frame { header, rgb: rgb.as_raw(), index }, &poses)?;
+    let image_time_s = Some(refined.stages.iter().sum::<std::time::Duration>().as_secs_f64());
+    let last = refined.passes.last().context("`--passes 0`: give at least 1")?;
+    let estimate = |pose: &ObjectPose| -> Result<Estimate> {
+        Ok(Estimate {
+            scene_id: image.scene_id,
+            image_id: image.frame.image_id,
+            object_id: pose.object_id,
+            score: pose.score,
+            camera_from_object: pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m)?,
+            image_time_s,
+        })
+    };
+    last.iter().map(estimate).collect()
+}
+
+fn given(estimate: &Estimate, instance: u32) -> ObjectPose {
+    ObjectPose {
+        object_id: estimate.object_id,
+        instance,
+        status: PoseStatus::Ok as u32,
+        source: PoseSource::Given as u32,
+        score: estimate.score,
+        rotation_xyzw: quaternion_xyzw(&estimate.camera_from_object),
+        translation_m: estimate.camera_from_object.translation.vector.into(),
+        covariance: [0.0; 36],
+    }
+}
+
+/// The scores by object and set as text.
+pub(crate) fn table(report: &Report) -> String {
+    let mut text = format!(
+        "{:24} {:9} {:>5} {:>12} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}\n",
+        "object", "poses", "n", "ADD(-S)-0.1d", "AUC", "MSSD", "MSPD", "VSD", "AR", "ms"
+    );
+    let mut row = |object: &str, set: &str, s: &pseudoflow_evaluator::Scores| {
+        text += &format!(
+            "{object:24} {set:9} {:>5} {:>12.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8}\n",
+            s.n,
+            s.add_s_recall,
+            s.auc_add_s,
+            s.mssd_recall,
+            s.mspd_recall,
+            s.vsd_recall,
+            s.ar,
+            s.ms_per_object.map_or("-".into(), |ms| format!("{ms:.1}")),
+        );
+    };
+    for (id, sets) in &report.per_object {
+        let name = report.objects.get(id).map_or_else(|| id.to_string(), |object| format!("{id} {}", object.name));
+        report.sets.iter().filter_map(|set| sets.get(set).map(|s| (set, s))).for_each(|(set, s)| row(&name, set, s));
+    }
+    report.sets.iter().filter_map(|set| report.overall.get(set).map(|s| (set, s))).for_each(|(set, s)| row("all", set, s));
+    text += &made_wrong(report);
+    text
+}
+
+/// How many of the initially right instances are wrong after refinement: what the gate is there to prevent.
+fn made_wrong(report: &Report) -> String {
+    let (Some(before), Some(after)) = (report.instances.get("init"), report.instances.get("refined")) else {
+        return String::new();
+    };
+    let right = before.iter().filter(|b| b.add_s_correct).count();
+    let spoilt = before.iter().zip(after).filter(|(b, a)| b.add_s_correct && !a.add_s_correct).count();
+    format!("right before, wrong after: {spoilt} of {right}\n")
+}
+
+pub(crate) fn compare(args: &CompareArgs) -> Result<ExitCode> {
+    let (before, after) = (Report::read_json(&args.before)?, Report::read_json(&args.after)?);
+    let comparison = pseudoflow_evaluator::compare(&before, &after)?;
+    comparison.write_html(&args.out)?;
+    print!("{comparison}");
+    println!("page: {}", args.out.display());
+    Ok(ExitCode::SUCCESS)
+}

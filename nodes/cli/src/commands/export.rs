@@ -1,0 +1,34 @@
+use anyhow::{Context as _, Result};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// Weights, a `.safetensors` file.
+    #[arg(long)]
+    weights: PathBuf,
+    /// The `.onnx` file to write.
+    #[arg(long)]
+    out: PathBuf,
+    /// Width and height of the crops that the network will see, pixels.
+    #[arg(long, default_value_t = 128)]
+    size: u32,
+    /// Refinement iterations.
+    #[arg(long, default_value_t = 12)]
+    iterations: u32,
+}
+
+pub(crate) fn run(args: &Args) -> Result<ExitCode> {
+    let onnx = pseudoflow_flow::load_model(&args.weights, args.size, args.iterations)?;
+    write_whole(&args.out, &onnx)?;
+    println!("{}: {} bytes, {} px, {} iterations", args.out.display(), onnx.len(), args.size, args.iterations);
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes beside and renames: the file is there whole or not at all.
+fn write_whole(path: &std::path::Path, bytes: &[u8]) -> Result<()> {
+    let beside = path.with_extension("part");
+    let failed = || format!("{}: cannot be written", path.display());
+    std::fs::write(&beside, bytes).with_context(failed)?;
+    std::fs::rename(&beside, path).with_context(failed)
+}

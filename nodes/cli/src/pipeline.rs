@@ -1,0 +1,122 @@
+//! The refinement nodes in one process: the same code as in the graph, message by message, without the middleware.
+//! For evaluation over whole datasets, where one process per core beats one process per node.
+
+use anyhow::{Context as _, Result, anyhow};
+use pseudoflow_flow::{FlowConfig, FlowNode};
+use pseudoflow_msgs::{
+    AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, Message, ObjectPose, ObjectPoses,
+};
+use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
+use pseudoflow_renderer::{RendererConfig, RendererNode};
+use pseudoflow_runtime::{Context, InMemory, Node};
+use std::time::{Duration, Instant};
+
+/// How to refine.
+#[derive(Debug, Clone)]
+pub(crate) struct PipelineConfig {
+    pub(crate) renderer: RendererConfig,
+    pub(crate) flow: FlowConfig,
+    pub(crate) pnp: PnpNodeConfig,
+    pub(crate) passes: u32,
+    pub(crate) seed: u64,
+}
+
+/// One frame of a dataset.
+pub(crate) struct Frame<'a> {
+    pub(crate) header: CameraFrameHeader,
+    pub(crate) rgb: &'a [u8],
+    pub(crate) index: u64,
+}
+
+/// Renderer, flow and pnp of one process.
+pub(crate) struct Pipeline {
+    renderer: RendererNode,
+    flow: FlowNode,
+    pnp: PnpNode,
+    passes: u32,
+    context: Context,
+}
+
+/// Poses after each pass, and the time of each stage.
+pub(crate) struct Refined {
+    pub(crate) passes: Vec<Vec<ObjectPose>>,
+    pub(crate) stages: [Duration; 3],
+}
+
+fn boxed(error: pseudoflow_runtime::NodeError) -> anyhow::Error {
+    anyhow!("{error}")
+}
+
+impl Pipeline {
+    pub(crate) fn open(config: PipelineConfig) -> Result<Self> {
+        let context = Context {
+            name: "eval".into(),
+            seed: config.seed,
+            out_dir: std::env::temp_dir(),
+            restarts: 0,
+            replay: true,
+        };
+        RendererNode::check(&config.renderer).map_err(boxed).context("renderer")?;
+        FlowNode::check(&config.flow).map_err(boxed).context("flow")?;
+        PnpNode::check(&config.pnp).map_err(boxed).context("pnp")?;
+        Ok(Self {
+            renderer: RendererNode::create(config.renderer, &context).map_err(boxed).context("renderer")?,
+            flow: FlowNode::create(config.flow, &context).map_err(boxed).context("flow")?,
+            pnp: PnpNode::create(config.pnp, &context).map_err(boxed).context("pnp")?,
+            passes: config.passes,
+            context,
+        })
+    }
+
+    /// Refines the poses of one frame, pass after pass.
+    pub(crate) fn refine(&mut self, frame: &Frame<'_>, initial: &[ObjectPose]) -> Result<Refined> {
+        let mut refined = Refined { passes: Vec::new(), stages: [Duration::ZERO; 3] };
+        let mut poses = initial.to_vec();
+        for _ in 0..self.passes {
+            poses = self.pass(frame, &poses, &mut refined.stages)?;
+            refined.passes.push(poses.clone());
+        }
+        Ok(refined)
+    }
+
+    fn pass(&mut self, frame: &Frame<'_>, initial: &[ObjectPose], stages: &mut [Duration; 3]) -> Result<Vec<ObjectPose>> {
+        let mut messages = InMemory::new(FrameKey { index: frame.index, stamp_ns: 0 });
+        messages.messages.push(("frame".into(), frame_message(frame)));
+        messages.messages.push(("initial_poses".into(), poses_message(frame, initial)));
+        let steps: [(&str, &mut dyn Step); 3] =
+            [("renderer", &mut self.renderer), ("flow", &mut self.flow), ("pnp", &mut self.pnp)];
+        for ((name, step), time) in steps.into_iter().zip(stages) {
+            let start = Instant::now();
+            step.step(&mut messages, &self.context).with_context(|| format!("node {name}"))?;
+            *time += start.elapsed();
+        }
+        let bytes = messages.messages.iter().find(|(port, _)| port == "poses").context("pnp sent no poses")?;
+        Ok(ObjectPoses::view(&bytes.1)?.poses.to_vec())
+    }
+}
+
+/// A node that reads from and adds to the frame's messages.
+trait Step {
+    fn step(&mut self, messages: &mut InMemory, context: &Context) -> Result<()>;
+}
+
+impl<N: Node> Step for N {
+    fn step(&mut self, messages: &mut InMemory, context: &Context) -> Result<()> {
+        let mut out = InMemory::new(messages.key.context("frames have keys")?);
+        self.process(messages, &mut out, context).map_err(boxed)?;
+        messages.messages.append(&mut out.messages);
+        Ok(())
+    }
+}
+
+fn frame_message(frame: &Frame<'_>) -> AlignedBytes {
+    let mut bytes = AlignedBytes::zeroed(CameraFrame::byte_len(frame.header.width, frame.header.height));
+    CameraFrame::write(&mut bytes, frame.header).rgb.copy_from_slice(frame.rgb);
+    bytes
+}
+
+fn poses_message(frame: &Frame<'_>, poses: &[ObjectPose]) -> AlignedBytes {
+    let mut bytes = AlignedBytes::zeroed(ObjectPoses::byte_len(poses.len()));
+    ObjectPoses::write(&mut bytes, frame.header.scene_id, frame.header.image_id, poses);
+    bytes
+}

@@ -1,0 +1,157 @@
+use crate::views::{Plan, ViewSettings, plan, with_pose};
+use crate::{Device, open};
+use pseudoflow_geometry::Intrinsics;
+use pseudoflow_imaging::raster::{Rasteriser, Rendering};
+use pseudoflow_imaging::{ObjectSet, RgbImage, resample};
+use pseudoflow_msgs::{
+    CameraFrame, ObjectPoses, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut,
+};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Settings of the renderer node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RendererConfig {
+    /// Folder of the object set (BOP `models/`).
+    pub objects: PathBuf,
+    /// Width and height of crops and renderings, pixels; the flow node's `size_px`.
+    #[serde(default = "default_size_px")]
+    pub size_px: u32,
+    /// Renderings of each instance: 1 to refine, 4 to make pseudo-labels.
+    #[serde(default = "default_views")]
+    pub views: u32,
+    /// Side of the crop over the larger side of the projection.
+    #[serde(default = "default_margin")]
+    pub margin: f64,
+    /// What renders.
+    #[serde(default)]
+    pub device: Device,
+}
+
+fn default_size_px() -> u32 {
+    128
+}
+
+fn default_views() -> u32 {
+    1
+}
+
+fn default_margin() -> f64 {
+    1.1
+}
+
+impl RendererConfig {
+    /// The defaults for an object set.
+    #[must_use]
+    pub fn new(objects: PathBuf, size_px: u32) -> Self {
+        Self { objects, size_px, views: default_views(), margin: default_margin(), device: Device::default() }
+    }
+}
+
+/// Frames and initial poses in, reference views out.
+pub struct RendererNode {
+    settings: ViewSettings,
+    objects: ObjectSet,
+    rasteriser: Box<dyn Rasteriser>,
+}
+
+impl RendererNode {
+    fn fill(&self, message: ReferenceViewsMut<'_>, plan: &Plan, renderings: &[Rendering], crops: &[RgbImage]) {
+        let area = (self.settings.size_px as usize).pow(2);
+        message.skipped.copy_from_slice(&plan.skipped);
+        for (out, crop) in message.real_rgb.chunks_exact_mut(3 * area).zip(crops) {
+            out.copy_from_slice(crop.as_raw());
+        }
+        for (i, rendering) in renderings.iter().enumerate() {
+            message.rgb[i * 3 * area..(i + 1) * 3 * area].copy_from_slice(rendering.rgb.as_raw());
+            message.depth_m[i * area..(i + 1) * area].copy_from_slice(&rendering.depth_m);
+            for (out, mask) in message.mask[i * area..(i + 1) * area].iter_mut().zip(&rendering.mask) {
+                *out = if *mask == 0 { 0 } else { 255 };
+            }
+        }
+        let views = plan.instances.iter().flat_map(|instance| {
+            instance.poses.iter().enumerate().map(move |(view, pose)| {
+                let k = &instance.crop_intrinsics;
+                ReferenceView {
+                    pose: with_pose(&instance.initial, view, pose),
+                    crop_intrinsics: [k.fx, k.fy, k.cx, k.cy],
+                    crop: [instance.crop.x0, instance.crop.y0, instance.crop.side],
+                    diameter_m: instance.diameter_m,
+                }
+            })
+        });
+        message.views.iter_mut().zip(views).for_each(|(out, view)| *out = view);
+    }
+}
+
+impl Node for RendererNode {
+    const KIND: &'static str = "renderer";
+    const ROLE: Role = Role::Transform;
+    type Config = RendererConfig;
+
+    fn inputs() -> Vec<PortSpec> {
+        vec![
+            PortSpec::required::<CameraFrame<'static>>("frame"),
+            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
+        ]
+    }
+
+    fn outputs() -> Vec<PortSpec> {
+        vec![PortSpec::required::<ReferenceViews<'static>>("views")]
+    }
+
+    fn check(config: &RendererConfig) -> Result<(), NodeError> {
+        if !config.size_px.is_multiple_of(8) || !(64..=1024).contains(&config.size_px) {
+            return Err(format!("`size_px: {}`: give a multiple of 8 in 64..=1024", config.size_px).into());
+        }
+        if !(1..=16).contains(&config.views) {
+            return Err(format!("`views: {}`: give 1..=16", config.views).into());
+        }
+        if !(1.0..=2.0).contains(&config.margin) {
+            return Err(format!("`margin: {}`: give 1.0..=2.0", config.margin).into());
+        }
+        if !config.objects.join("models_info.json").is_file() {
+            let folder = config.objects.display();
+            return Err(format!("`objects: {folder}`: no models_info.json there: give a BOP models folder").into());
+        }
+        Ok(())
+    }
+
+    fn create(config: RendererConfig, _context: &Context) -> Result<Self, NodeError> {
+        let objects = ObjectSet::load(&config.objects)?;
+        let mut rasteriser = open(config.device)?;
+        for object in objects.iter() {
+            rasteriser.add_object(object.id, &object.mesh)?;
+        }
+        log::info!("{} renders {} objects at {} px", rasteriser.name(), objects.len(), config.size_px);
+        let settings = ViewSettings { size_px: config.size_px, views: config.views, margin: config.margin };
+        Ok(Self { settings, objects, rasteriser })
+    }
+
+    fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
+        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
+        let initial = read::<ObjectPoses<'static>>(inputs, "initial_poses")?;
+        let (width, height) = (frame.header.width, frame.header.height);
+        let [fx, fy, cx, cy] = frame.header.intrinsics;
+        let intrinsics = Intrinsics { fx, fy, cx, cy };
+        let mut rng = context.rng(inputs.key().index, "views");
+        let plan = plan(initial.poses, &self.objects, &intrinsics, (width, height), &self.settings, &mut rng)?;
+        let renderings = self.rasteriser.render(&plan.rasteriser_views(self.settings.size_px))?;
+        let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
+        let crops: Vec<RgbImage> = plan.instances.iter().map(|i| resample(&image, &i.crop)).collect();
+        let header = ReferenceViewsHeader {
+            instances: plan.instances.len() as u32,
+            views_per_instance: self.settings.views,
+            size_px: self.settings.size_px,
+            scene_id: frame.header.scene_id,
+            image_id: frame.header.image_id,
+            skipped: plan.skipped.len() as u32,
+        };
+        outputs.send("views", inputs.key(), ReferenceViews::byte_len(&header), &mut |bytes| {
+            self.fill(ReferenceViews::write(bytes, header), &plan, &renderings, &crops);
+        })
+    }
+}

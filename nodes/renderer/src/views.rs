@@ -1,0 +1,118 @@
+//! Which views of a frame to render, and the renderings and crops in the layout of the message.
+
+use pseudoflow_geometry::{Crop, Intrinsics, Jitter, Pose, pose_from_quaternion, quaternion_xyzw};
+use pseudoflow_imaging::raster::View;
+use pseudoflow_imaging::{ImagingError, ObjectSet};
+use pseudoflow_msgs::{ObjectPose, PoseStatus};
+use rand::Rng;
+
+/// How views are made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ViewSettings {
+    /// Width and height of crops and renderings, pixels.
+    pub size_px: u32,
+    /// Renderings of each instance: the initial pose itself and `views - 1` jittered ones.
+    pub views: u32,
+    /// Side of the crop over the larger side of the projection's bounding box.
+    pub margin: f64,
+}
+
+/// One instance whose views are to be rendered.
+#[derive(Debug, Clone)]
+pub struct PlannedInstance {
+    /// The pose that came in.
+    pub initial: ObjectPose,
+    /// `camera_from_object` of each view; the first is the initial pose.
+    pub poses: Vec<Pose>,
+    /// The crop, the same for all views.
+    pub crop: Crop,
+    /// The crop's K'.
+    pub crop_intrinsics: Intrinsics,
+    /// Diameter of the object, metres.
+    pub diameter_m: f64,
+}
+
+/// The views of a frame.
+#[derive(Debug, Clone, Default)]
+pub struct Plan {
+    /// What is rendered.
+    pub instances: Vec<PlannedInstance>,
+    /// Initial poses that cannot be: not finite, behind the camera, or with a crop outside the image.
+    pub skipped: Vec<ObjectPose>,
+}
+
+impl Plan {
+    /// What the rasteriser has to draw: instance by instance, view by view.
+    #[must_use]
+    pub fn rasteriser_views(&self, size_px: u32) -> Vec<View> {
+        let of = |instance: &PlannedInstance, pose: &Pose| View {
+            object_id: instance.initial.object_id,
+            camera_from_object: *pose,
+            intrinsics: instance.crop_intrinsics,
+            width: size_px,
+            height: size_px,
+        };
+        self.instances.iter().flat_map(|i| i.poses.iter().map(move |pose| of(i, pose))).collect()
+    }
+}
+
+/// Decides crops and view poses for the initial poses of a frame of `width` x `height` pixels.
+///
+/// # Errors
+/// When a pose names an object that the set does not have.
+pub fn plan(
+    initial: &[ObjectPose],
+    objects: &ObjectSet,
+    intrinsics: &Intrinsics,
+    (width, height): (u32, u32),
+    settings: &ViewSettings,
+    rng: &mut impl Rng,
+) -> Result<Plan, ImagingError> {
+    let mut plan = Plan::default();
+    for pose in initial {
+        let object = objects.get(pose.object_id)?;
+        let jitter = Jitter::views(object.diameter_m);
+        let found = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).ok().and_then(|at| {
+            let crop = Crop::around(&object.hull_m, &at, intrinsics, settings.margin, settings.size_px)?;
+            overlaps(&crop, width, height).then_some((at, crop))
+        });
+        match found {
+            None => plan.skipped.push(ObjectPose { status: PoseStatus::NotVisible as u32, ..*pose }),
+            Some((at, crop)) => plan.instances.push(PlannedInstance {
+                initial: *pose,
+                poses: view_poses(&at, &jitter, settings.views, rng),
+                crop,
+                crop_intrinsics: crop.intrinsics(intrinsics),
+                diameter_m: object.diameter_m,
+            }),
+        }
+    }
+    Ok(plan)
+}
+
+/// The initial pose and `views - 1` jittered ones, all in front of the camera.
+fn view_poses(initial: &Pose, jitter: &Jitter, views: u32, rng: &mut impl Rng) -> Vec<Pose> {
+    let mut poses = vec![*initial];
+    while poses.len() < views as usize {
+        let pose = jitter.sample(initial, rng);
+        if pose.translation.z > 0.5 * initial.translation.z {
+            poses.push(pose);
+        }
+    }
+    poses
+}
+
+/// The pose of a view as the message carries it.
+pub(crate) fn with_pose(initial: &ObjectPose, view: usize, pose: &Pose) -> ObjectPose {
+    if view == 0 {
+        return *initial;
+    }
+    let translation_m = pose.translation.vector.into();
+    ObjectPose { rotation_xyzw: quaternion_xyzw(pose), translation_m, ..*initial }
+}
+
+/// Whether a crop shows any part of the image.
+fn overlaps(crop: &Crop, width: u32, height: u32) -> bool {
+    let within = |low: f64, length: u32| low < f64::from(length) - 0.5 && low + crop.side > -0.5;
+    within(crop.x0, width) && within(crop.y0, height)
+}
