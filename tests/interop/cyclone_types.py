@@ -1,0 +1,158 @@
+"""The ROS 2 messages that the interop tests exchange, as CycloneDDS types, written down from the .msg files."""
+
+from dataclasses import dataclass
+
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import array, float64, int32, sequence, uint8, uint32
+
+
+def ros(package, name):
+    return f"{package}::msg::dds_::{name}_"
+
+
+@dataclass
+class Time(IdlStruct, typename=ros("builtin_interfaces", "Time")):
+    sec: int32
+    nanosec: uint32
+
+    @property
+    def ns(self):
+        return self.sec * 1_000_000_000 + self.nanosec
+
+
+@dataclass
+class Header(IdlStruct, typename=ros("std_msgs", "Header")):
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class Point(IdlStruct, typename=ros("geometry_msgs", "Point")):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Vector3(IdlStruct, typename=ros("geometry_msgs", "Vector3")):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Quaternion(IdlStruct, typename=ros("geometry_msgs", "Quaternion")):
+    x: float64
+    y: float64
+    z: float64
+    w: float64
+
+
+@dataclass
+class Pose(IdlStruct, typename=ros("geometry_msgs", "Pose")):
+    position: Point
+    orientation: Quaternion
+
+
+@dataclass
+class PoseStamped(IdlStruct, typename=ros("geometry_msgs", "PoseStamped")):
+    header: Header
+    pose: Pose
+
+
+@dataclass
+class PoseWithCovariance(IdlStruct, typename=ros("geometry_msgs", "PoseWithCovariance")):
+    pose: Pose
+    covariance: array[float64, 36]
+
+
+@dataclass
+class ObjectHypothesis(IdlStruct, typename=ros("vision_msgs", "ObjectHypothesis")):
+    class_id: str
+    score: float64
+
+
+@dataclass
+class ObjectHypothesisWithPose(IdlStruct, typename=ros("vision_msgs", "ObjectHypothesisWithPose")):
+    hypothesis: ObjectHypothesis
+    pose: PoseWithCovariance
+
+
+@dataclass
+class BoundingBox3D(IdlStruct, typename=ros("vision_msgs", "BoundingBox3D")):
+    center: Pose
+    size: Vector3
+
+
+@dataclass
+class Detection3D(IdlStruct, typename=ros("vision_msgs", "Detection3D")):
+    header: Header
+    results: sequence[ObjectHypothesisWithPose]
+    bbox: BoundingBox3D
+    id: str
+
+
+@dataclass
+class Detection3DArray(IdlStruct, typename=ros("vision_msgs", "Detection3DArray")):
+    header: Header
+    detections: sequence[Detection3D]
+
+
+@dataclass
+class Transform(IdlStruct, typename=ros("geometry_msgs", "Transform")):
+    translation: Vector3
+    rotation: Quaternion
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename=ros("geometry_msgs", "TransformStamped")):
+    header: Header
+    child_frame_id: str
+    transform: Transform
+
+
+@dataclass
+class TFMessage(IdlStruct, typename=ros("tf2_msgs", "TFMessage")):
+    transforms: sequence[TransformStamped]
+
+
+@dataclass
+class Image(IdlStruct, typename=ros("sensor_msgs", "Image")):
+    header: Header
+    height: uint32
+    width: uint32
+    encoding: str
+    is_bigendian: uint8
+    step: uint32
+    data: sequence[uint8]
+
+
+@dataclass
+class CompressedImage(IdlStruct, typename=ros("sensor_msgs", "CompressedImage")):
+    header: Header
+    format: str
+    data: sequence[uint8]
+
+
+@dataclass
+class RegionOfInterest(IdlStruct, typename=ros("sensor_msgs", "RegionOfInterest")):
+    x_offset: uint32
+    y_offset: uint32
+    height: uint32
+    width: uint32
+    do_rectify: bool
+
+
+@dataclass
+class CameraInfo(IdlStruct, typename=ros("sensor_msgs", "CameraInfo")):
+    header: Header
+    height: uint32
+    width: uint32
+    distortion_model: str
+    d: sequence[float64]
+    k: array[float64, 9]
+    r: array[float64, 9]
+    p: array[float64, 12]
+    binning_x: uint32
+    binning_y: uint32
+    roi: RegionOfInterest
