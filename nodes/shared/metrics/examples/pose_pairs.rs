@@ -7,7 +7,7 @@
 #![allow(clippy::print_stdout)] // its purpose
 
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_row_major};
-use pseudoflow_metrics::{ModelPoints, add_m, adi_m, mspd_px, mssd_m};
+use pseudoflow_metrics::{MatrixPose, ModelPoints, add_m, adi_m, mspd_px, mssd_m};
 use rayon::prelude::*;
 use std::error::Error;
 use std::path::Path;
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let points: Vec<_> = read(&dir.join("points.bin"))?.chunks_exact(3).map(nalgebra::Point3::from_slice).collect();
     let pairs = read(&dir.join("pairs.bin"))?;
     let pairs =
-        pairs.chunks_exact(24).map(|n| Ok((pose(n)?, pose(&n[12..])?))).collect::<Result<Vec<_>, Box<dyn Error>>>()?;
+        pairs.chunks_exact(24).map(|n| Ok((pose(n)?.into(), pose(&n[12..])?.into()))).collect::<Result<Vec<_>, Box<dyn Error>>>()?;
     let symmetries = read(&dir.join("symmetries.bin"))?;
     let symmetries = symmetries.chunks_exact(12).map(pose).collect::<Result<Vec<_>, _>>()?;
     let k = read(&dir.join("k.bin"))?;
@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let start = Instant::now();
     let model = ModelPoints::new(&points)?;
     let build_s = start.elapsed().as_secs_f64();
-    let timed = |f: &(dyn Fn(&Pose, &Pose) -> f64 + Sync)| {
+    let timed = |f: &(dyn Fn(&MatrixPose, &MatrixPose) -> f64 + Sync)| {
         let start = Instant::now();
         let errors: Vec<f64> = pairs.par_iter().map(|(est, gt)| f(est, gt)).collect();
         (errors, start.elapsed().as_secs_f64())

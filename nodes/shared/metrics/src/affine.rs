@@ -1,5 +1,6 @@
 use crate::points::{Block, LANES};
-use pseudoflow_geometry::Pose;
+use crate::MatrixPose;
+use nalgebra::{Matrix3, Vector3};
 
 /// `A p + b` in single precision, A row-major.
 #[derive(Debug, Clone, Copy)]
@@ -9,18 +10,30 @@ pub(crate) struct Affine {
 }
 
 impl Affine {
-    /// The map itself.
-    pub(crate) fn of(pose: &Pose) -> Self {
-        let (r, t) = (pose.rotation.to_rotation_matrix(), pose.translation.vector);
-        Self { a: std::array::from_fn(|i| r[(i / 3, i % 3)] as f32), b: std::array::from_fn(|i| t[i] as f32) }
+    fn new(a: &Matrix3<f64>, b: &Vector3<f64>) -> Self {
+        Self { a: std::array::from_fn(|i| a[(i / 3, i % 3)] as f32), b: std::array::from_fn(|i| b[i] as f32) }
+    }
+
+    /// A matrix alone.
+    pub(crate) fn linear(matrix: &Matrix3<f64>) -> Self {
+        Self::new(matrix, &Vector3::zeros())
+    }
+
+    /// A pose itself.
+    pub(crate) fn of(pose: &MatrixPose) -> Self {
+        Self::new(pose.matrix(), pose.translation_m())
     }
 
     /// How far apart two poses put a point: `est p - gt p`. The difference is taken in double precision, so that
     /// small errors keep their digits in single.
-    pub(crate) fn difference(est: &Pose, gt: &Pose) -> Self {
-        let r = est.rotation.to_rotation_matrix().matrix() - gt.rotation.to_rotation_matrix().matrix();
-        let t = est.translation.vector - gt.translation.vector;
-        Self { a: std::array::from_fn(|i| r[(i / 3, i % 3)] as f32), b: std::array::from_fn(|i| t[i] as f32) }
+    pub(crate) fn difference(est: &MatrixPose, gt: &MatrixPose) -> Self {
+        Self::new(&(est.matrix() - gt.matrix()), &(est.translation_m() - gt.translation_m()))
+    }
+
+    /// Points in pose `gt`, seen from the nearest rotation of pose `est`.
+    pub(crate) fn relative(est: &MatrixPose, gt: &MatrixPose) -> Self {
+        let turn_back = est.pose().rotation.to_rotation_matrix().matrix().transpose();
+        Self::new(&(turn_back * gt.matrix()), &(turn_back * (gt.translation_m() - est.translation_m())))
     }
 
     #[inline(always)]

@@ -1,6 +1,7 @@
 //! Errors of a pose over the points of a model, in metres or pixels. `est` and `gt` are `camera_from_object`.
 //! Sums run in a fixed order: the same input gives the same bits.
 
+use crate::MatrixPose;
 use crate::affine::Affine;
 use crate::points::{Block, Bounds, LANES, ModelPoints};
 use crate::simd::with_avx2;
@@ -9,15 +10,20 @@ use pseudoflow_geometry::{Intrinsics, Pose};
 /// ADD: mean distance of corresponding points, metres. Hinterstoisser et al., ACCV 2012, eq. 1 (there `m`);
 /// bop_toolkit `pose_error.add`.
 #[must_use]
-pub fn add_m(points: &ModelPoints, est: &Pose, gt: &Pose) -> f64 {
+pub fn add_m(points: &ModelPoints, est: &MatrixPose, gt: &MatrixPose) -> f64 {
     sum_of_norms(points, &Affine::difference(est, gt)) / points.count() as f64
 }
 
 /// ADI, also called ADD-S: mean distance from each point in the true pose to the nearest point in the estimated pose,
 /// metres. Hinterstoisser et al., ACCV 2012, eq. 2; bop_toolkit `pose_error.adi`.
 #[must_use]
-pub fn adi_m(points: &ModelPoints, est: &Pose, gt: &Pose) -> f64 {
-    sum_of_nearest(points, &Affine::of(&(est.inverse() * gt))) / points.count() as f64
+pub fn adi_m(points: &ModelPoints, est: &MatrixPose, gt: &MatrixPose) -> f64 {
+    let est_from_gt = Affine::relative(est, gt);
+    let sum = match est.stretch() {
+        None => sum_of_nearest(points, points, &est_from_gt),
+        Some(stretch) => sum_of_nearest(points, &points.stretched(&stretch), &est_from_gt),
+    };
+    sum / points.count() as f64
 }
 
 /// MSSD: the largest distance of corresponding points, least over the symmetries, metres. Hodan et al., "BOP
@@ -25,10 +31,10 @@ pub fn adi_m(points: &ModelPoints, est: &Pose, gt: &Pose) -> f64 {
 ///
 /// `symmetries` are `object_from_object` transforms with the identity among them (`Symmetries::transforms(0.01)`).
 #[must_use]
-pub fn mssd_m(points: &ModelPoints, est: &Pose, gt: &Pose, symmetries: &[Pose]) -> f64 {
+pub fn mssd_m(points: &ModelPoints, est: &MatrixPose, gt: &MatrixPose, symmetries: &[Pose]) -> f64 {
     let mut best = f32::INFINITY;
     for symmetry in symmetries {
-        best = max_norm_squared(points, &Affine::difference(est, &(gt * symmetry)), best);
+        best = max_norm_squared(points, &Affine::difference(est, &gt.after(symmetry)), best);
     }
     f64::from(best).sqrt()
 }
@@ -37,10 +43,10 @@ pub fn mssd_m(points: &ModelPoints, est: &Pose, gt: &Pose, symmetries: &[Pose]) 
 /// image. Hodan et al., ECCVW 2020, eq. 4; bop_toolkit `pose_error.mspd`. Its thresholds are for images 640 wide:
 /// multiply with [`mspd_scale`]. A point in the camera plane makes it infinite.
 #[must_use]
-pub fn mspd_px(points: &ModelPoints, est: &Pose, gt: &Pose, intrinsics: &Intrinsics, symmetries: &[Pose]) -> f64 {
+pub fn mspd_px(points: &ModelPoints, est: &MatrixPose, gt: &MatrixPose, intrinsics: &Intrinsics, symmetries: &[Pose]) -> f64 {
     let mut best = f32::INFINITY;
     for symmetry in symmetries {
-        let gt = gt * symmetry;
+        let gt = gt.after(symmetry);
         best = max_projected_squared(points, &Projected::new(est, &gt, intrinsics), best);
     }
     f64::from(best).sqrt()
@@ -56,28 +62,29 @@ pub fn mspd_scale(image_width_px: u32) -> f64 {
 /// Mean distance of the projections of corresponding points, pixels. Brachmann et al., CVPR 2016; bop_toolkit
 /// `pose_error.proj`.
 #[must_use]
-pub fn projection_px(points: &ModelPoints, est: &Pose, gt: &Pose, intrinsics: &Intrinsics) -> f64 {
+pub fn projection_px(points: &ModelPoints, est: &MatrixPose, gt: &MatrixPose, intrinsics: &Intrinsics) -> f64 {
     sum_projected(points, &Projected::new(est, gt, intrinsics)) / points.count() as f64
 }
 
-/// Rotation error: the angle of the rotation between two poses, radians in `[0, pi]`. bop_toolkit `pose_error.re`.
+/// Rotation error: the angle of the rotation between two poses, radians in `[0, pi]`. bop_toolkit `pose_error.re`, but
+/// for the nearest rotations (of other matrices the toolkit's arc cosine is off by degrees).
 #[must_use]
-pub fn rotation_error_rad(est: &Pose, gt: &Pose) -> f64 {
-    pseudoflow_geometry::rotation_angle_rad(est, gt)
+pub fn rotation_error_rad(est: &MatrixPose, gt: &MatrixPose) -> f64 {
+    pseudoflow_geometry::rotation_angle_rad(&est.pose(), &gt.pose())
 }
 
 /// Translation error, metres. bop_toolkit `pose_error.te`.
 #[must_use]
-pub fn translation_error_m(est: &Pose, gt: &Pose) -> f64 {
-    (est.translation.vector - gt.translation.vector).norm()
+pub fn translation_error_m(est: &MatrixPose, gt: &MatrixPose) -> f64 {
+    (est.translation_m() - gt.translation_m()).norm()
 }
 
 /// Whether a pose is right to 5 cm and 5 degrees (Shotton et al., CVPR 2013), for the nearest symmetric truth.
 #[must_use]
-pub fn within_5cm_5deg(est: &Pose, gt: &Pose, symmetries: &[Pose]) -> bool {
+pub fn within_5cm_5deg(est: &MatrixPose, gt: &MatrixPose, symmetries: &[Pose]) -> bool {
     symmetries
         .iter()
-        .map(|s| gt * s)
+        .map(|s| gt.after(s))
         .any(|gt| translation_error_m(est, &gt) < 0.05 && rotation_error_rad(est, &gt) < 5_f64.to_radians())
 }
 
@@ -155,7 +162,7 @@ struct Projected {
 }
 
 impl Projected {
-    fn new(est: &Pose, gt: &Pose, intrinsics: &Intrinsics) -> Self {
+    fn new(est: &MatrixPose, gt: &MatrixPose, intrinsics: &Intrinsics) -> Self {
         Self {
             gt: Affine::of(gt),
             difference: Affine::difference(est, gt),
@@ -193,9 +200,9 @@ with_avx2! {
 }
 
 with_avx2! {
-    /// Sum over the points of the distance from the moved point to the nearest point.
-    fn sum_of_nearest(points: &ModelPoints, est_from_gt: &Affine) -> f64 {
-        sum_over_points(points, |k, block| nearest_squared(points, k, &est_from_gt.apply(block)).map(f32::sqrt))
+    /// Sum over the points of the distance from the moved point to the nearest of `targets`.
+    fn sum_of_nearest(points: &ModelPoints, targets: &ModelPoints, est_from_gt: &Affine) -> f64 {
+        sum_over_points(points, |k, block| nearest_squared(targets, k, &est_from_gt.apply(block)).map(f32::sqrt))
     }
 }
 

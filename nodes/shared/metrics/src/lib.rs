@@ -13,6 +13,7 @@
 mod affine;
 mod distance;
 mod matching;
+mod matrix_pose;
 mod points;
 mod recall;
 mod results;
@@ -24,6 +25,7 @@ pub use distance::{
     add_m, adi_m, mspd_px, mspd_scale, mssd_m, projection_px, rotation_error_rad, translation_error_m, within_5cm_5deg,
 };
 pub use matching::match_greedy;
+pub use matrix_pose::MatrixPose;
 pub use points::{ModelPoints, PointsError};
 pub use recall::{
     AUC_LIMIT_M, MAX_SYM_DISC_STEP, VISIB_GT_MIN, add_threshold_m, auc_to_10cm, mspd_thresholds, mssd_thresholds,

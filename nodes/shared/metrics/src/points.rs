@@ -1,4 +1,5 @@
-use nalgebra::Point3;
+use crate::affine::Affine;
+use nalgebra::{Matrix3, Point3};
 
 /// Points handled together, one per vector lane.
 pub(crate) const LANES: usize = 16;
@@ -73,6 +74,14 @@ impl ModelPoints {
     #[must_use]
     pub fn count(&self) -> usize {
         self.count
+    }
+
+    /// The points under a matrix near the identity, in the same blocks.
+    pub(crate) fn stretched(&self, by: &Matrix3<f64>) -> Self {
+        let map = Affine::linear(by);
+        let blocks: Vec<Block> = self.blocks.iter().map(|block| map.apply(block)).collect();
+        let nodes = bounds_of(&blocks, self.leaves);
+        Self { blocks, nodes, ..self.clone() }
     }
 
     /// How many lanes of a block hold points of their own; the rest of the last block repeats its last point.

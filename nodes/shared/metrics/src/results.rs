@@ -10,7 +10,7 @@ pub use error::{Problem, ResultsError};
 pub use parse::{KnownIds, parse_results, read_results};
 pub use writer::{ResultsWriter, file_name, write_results};
 
-use pseudoflow_geometry::Pose;
+use crate::MatrixPose;
 
 /// The first line of a result file.
 const HEADER: &str = "scene_id,im_id,obj_id,score,R,t,time";
@@ -26,8 +26,8 @@ pub struct Estimate {
     pub object_id: u32,
     /// Confidence; only the order matters.
     pub score: f64,
-    /// Pose, metres.
-    pub camera_from_object: Pose,
+    /// Pose, metres; of one's own: `pose.into()`.
+    pub camera_from_object: MatrixPose,
     /// Time spent on the whole image, seconds: the same for all estimates of the image. `None` (-1 in the file) when
     /// it was not measured.
     pub image_time_s: Option<f64>,

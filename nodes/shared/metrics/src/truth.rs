@@ -1,4 +1,5 @@
-use pseudoflow_geometry::{Pose, PoseError, pose_from_row_major};
+use crate::MatrixPose;
+use pseudoflow_geometry::PoseError;
 use serde::{Deserialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,8 +9,8 @@ use std::path::{Path, PathBuf};
 pub struct TruthInstance {
     /// The object, as numbered by the dataset.
     pub object_id: u32,
-    /// Pose, metres.
-    pub camera_from_object: Pose,
+    /// Pose, metres, as the file gives it.
+    pub camera_from_object: MatrixPose,
     /// The visible share of the projected surface, where `scene_gt_info.json` says it.
     pub visible_fraction: Option<f64>,
 }
@@ -138,7 +139,7 @@ impl SceneTruth {
 }
 
 fn instance(raw: &RawTruth, visible_fraction: Option<f64>) -> Result<TruthInstance, PoseError> {
-    let camera_from_object = pose_from_row_major(&raw.rotation, &raw.translation_mm.map(|v| v * 1e-3))?;
+    let camera_from_object = MatrixPose::from_row_major(&raw.rotation, &raw.translation_mm.map(|v| v * 1e-3))?;
     Ok(TruthInstance { object_id: raw.obj_id, camera_from_object, visible_fraction })
 }
 
@@ -175,7 +176,7 @@ mod tests {
         let truth = scene(GT, Some(r#"{"7": [{"visib_fract": 0.25}]}"#)).unwrap();
         let instance = &truth.images[&7][0];
         assert!(
-            (instance.camera_from_object.translation.vector - nalgebra::Vector3::new(0.01, 0.02, 0.9)).norm() < 1e-12
+            (instance.camera_from_object.translation_m() - nalgebra::Vector3::new(0.01, 0.02, 0.9)).norm() < 1e-12
         );
         assert_eq!((instance.object_id, instance.visible_fraction), (5, Some(0.25)));
     }

@@ -1,5 +1,5 @@
 use super::{Estimate, HEADER, Problem, ResultsError};
-use pseudoflow_geometry::{Pose, pose_from_row_major};
+use crate::MatrixPose;
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
@@ -55,10 +55,10 @@ fn parse_line(line: &str) -> Result<Estimate, Problem> {
     })
 }
 
-fn pose(rotation: &str, translation_mm: &str) -> Result<Pose, Problem> {
+fn pose(rotation: &str, translation_mm: &str) -> Result<MatrixPose, Problem> {
     let rotation: [f64; 9] = numbers("R", rotation)?;
     let translation_mm: [f64; 3] = numbers("t", translation_mm)?;
-    pose_from_row_major(&rotation, &translation_mm.map(|v| v * 1e-3)).map_err(Problem::Pose)
+    MatrixPose::from_row_major(&rotation, &translation_mm.map(|v| v * 1e-3)).map_err(Problem::Pose)
 }
 
 fn numbers<const N: usize>(field: &'static str, text: &str) -> Result<[f64; N], Problem> {
@@ -91,14 +91,15 @@ fn check_ids(e: &Estimate, known: Option<&KnownIds>) -> Result<(), Problem> {
 /// What earlier lines held.
 #[derive(Default)]
 struct Seen {
-    poses: HashMap<(u32, u32, u32, [u64; 7]), usize>,
+    poses: HashMap<(u32, u32, u32, [u64; 12]), usize>,
     times: HashMap<(u32, u32), (f64, usize)>,
 }
 
 impl Seen {
     fn check(&mut self, e: &Estimate, line: usize) -> Result<(), Problem> {
-        let (q, t) = (e.camera_from_object.rotation.coords, e.camera_from_object.translation.vector);
-        let bits = [q.x, q.y, q.z, q.w, t.x, t.y, t.z].map(|v| (v + 0.0).to_bits());
+        let (r, t) = (e.camera_from_object.matrix(), e.camera_from_object.translation_m());
+        // Adding zero makes -0 equal 0.
+        let bits = std::array::from_fn(|i| if i < 9 { r[i] + 0.0 } else { t[i - 9] + 0.0 }).map(f64::to_bits);
         let first_line = *self.poses.entry((e.scene_id, e.image_id, e.object_id, bits)).or_insert(line);
         if first_line != line {
             return Err(Problem::Duplicate { first_line });
@@ -130,7 +131,7 @@ mod tests {
         for text in [format!("{HEADER}\n{ROW}\n"), format!("{ROW}\r\n"), ROW.to_owned()] {
             let [e] = &parse_results(&text, None).unwrap()[..] else { panic!("one row") };
             assert_eq!((e.scene_id, e.image_id, e.object_id, e.score, e.image_time_s), (1, 2, 3, 0.5, Some(0.25)));
-            assert!((e.camera_from_object.translation.z - 0.9).abs() < 1e-12);
+            assert!((e.camera_from_object.translation_m().z - 0.9).abs() < 1e-12);
         }
         let untimed = ROW.replace("0.25", "-1");
         assert_eq!(parse_results(&untimed, None).unwrap()[0].image_time_s, None);

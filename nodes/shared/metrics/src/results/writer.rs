@@ -1,5 +1,4 @@
 use super::{Estimate, HEADER, ResultsError, parse_results};
-use pseudoflow_geometry::rotation_row_major;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -102,14 +101,14 @@ fn without_last_image(text: &str) -> &str {
 
 fn row(e: &Estimate) -> String {
     let join = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
-    let translation_mm = e.camera_from_object.translation.vector * 1e3;
+    let translation_mm = e.camera_from_object.translation_m() * 1e3;
     format!(
         "{},{},{},{},{},{},{}\n",
         e.scene_id,
         e.image_id,
         e.object_id,
         e.score,
-        join(&rotation_row_major(&e.camera_from_object)),
+        join(e.camera_from_object.matrix().transpose().as_slice()),
         join(translation_mm.as_slice()),
         e.image_time_s.unwrap_or(-1.0)
     )
@@ -130,7 +129,7 @@ mod tests {
             image_id,
             object_id,
             score: 1.0,
-            camera_from_object: Pose::from_parts(Translation3::new(0.1, 0.2, 0.9), turn),
+            camera_from_object: Pose::from_parts(Translation3::new(0.1, 0.2, 0.9), turn).into(),
             image_time_s: Some(0.3),
         }
     }
@@ -140,13 +139,13 @@ mod tests {
         fn what_is_written_is_read(angles in prop::array::uniform3(-3.0..3.0), t in prop::array::uniform3(-5.0..5.0),
                                    score in 0.0..1.0, time in prop::option::of(0.0..9.0)) {
             let pose = Pose::from_parts(Vector3::from(t).into(), UnitQuaternion::from_scaled_axis(Vector3::from(angles)));
-            let e = Estimate { camera_from_object: pose, score, image_time_s: time, ..estimate(4, 5) };
+            let e = Estimate { camera_from_object: pose.into(), score, image_time_s: time, ..estimate(4, 5) };
             let dir = tempfile::tempdir().unwrap();
             let path = dir.path().join("m_d-test.csv");
             write_results(&path, std::slice::from_ref(&e)).unwrap();
             let back = read_results(&path, None).unwrap().remove(0);
-            prop_assert!(rotation_angle_rad(&back.camera_from_object, &pose) < 1e-7);
-            prop_assert!((back.camera_from_object.translation.vector - pose.translation.vector).norm() < 1e-12);
+            prop_assert!(rotation_angle_rad(&back.camera_from_object.pose(), &pose) < 1e-7);
+            prop_assert!((back.camera_from_object.translation_m() - pose.translation.vector).norm() < 1e-12);
             prop_assert_eq!((back.score, back.image_time_s, back.image_id), (e.score, e.image_time_s, 4));
         }
     }
