@@ -1,0 +1,123 @@
+use pseudoflow_imaging::ImagingError;
+use pseudoflow_metrics::{PointsError, TruthError};
+use std::path::PathBuf;
+
+/// Why poses could not be scored or reported.
+#[derive(Debug, thiserror::Error)]
+pub enum EvalError {
+    /// Images, cameras, meshes or initial poses of the dataset.
+    #[error(transparent)]
+    Imaging(#[from] ImagingError),
+    /// Ground truth or target list.
+    #[error(transparent)]
+    Truth(#[from] TruthError),
+    /// A model that cannot be measured with.
+    #[error("object {object_id}: {source}")]
+    Points {
+        /// Object.
+        object_id: u32,
+        /// The cause.
+        source: PointsError,
+    },
+    /// A file that cannot be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// A report that is not one.
+    #[error("{path} is not a report of `pseudoflow eval`: {source}")]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: serde_json::Error,
+    },
+    /// The folder has neither models_eval nor models.
+    #[error("{dir} has neither models_eval/ nor models/: unpack the dataset's models archive there")]
+    NoModels {
+        /// The dataset's folder.
+        dir: PathBuf,
+    },
+    /// An image whose size cannot be read.
+    #[error("cannot read the size of {path}: {source}")]
+    ImageSize {
+        /// The image.
+        path: PathBuf,
+        /// The cause.
+        source: image::ImageError,
+    },
+    /// The target list asks for an image that is not there.
+    #[error(
+        "the target list names image {image_id} of scene {scene_id}, which {dir} does not have: wrong split or list?"
+    )]
+    UnknownTarget {
+        /// The split's folder.
+        dir: PathBuf,
+        /// Scene.
+        scene_id: u32,
+        /// Image.
+        image_id: u32,
+    },
+    /// An object without a model.
+    #[error("scene {scene_id}, image {image_id}: object {object_id} has no model in {models}")]
+    UnknownObject {
+        /// The models' folder.
+        models: PathBuf,
+        /// Scene.
+        scene_id: u32,
+        /// Image.
+        image_id: u32,
+        /// Object.
+        object_id: u32,
+    },
+    /// Nothing to score.
+    #[error("{dir} has no visible true instance to look for: is it a split with scene_gt.json?")]
+    NoTargets {
+        /// The split's folder.
+        dir: PathBuf,
+    },
+    /// Depth and image differ in size.
+    #[error("{path} is {found:?} pixels, its image {expected:?}: VSD needs depth aligned to the image")]
+    DepthSize {
+        /// The depth image.
+        path: PathBuf,
+        /// Width and height found.
+        found: (u32, u32),
+        /// Width and height of the image.
+        expected: (u32, u32),
+    },
+    /// Two sets of estimates of one name, or none.
+    #[error("give one or more sets of estimates with different names, not {names:?}")]
+    SetNames {
+        /// The names.
+        names: Vec<String>,
+    },
+    /// Two reports without a common instance.
+    #[error("the two reports have no instance in common (datasets {a} and {b}): compare runs on the same images")]
+    NothingInCommon {
+        /// Dataset and split of the first.
+        a: String,
+        /// Dataset and split of the second.
+        b: String,
+    },
+    /// A report without the block to compare.
+    #[error("the report of {dataset} has the blocks {found:?}, not `{wanted}`")]
+    NoBlock {
+        /// Dataset and split.
+        dataset: String,
+        /// Blocks it has.
+        found: Vec<String>,
+        /// Block asked for.
+        wanted: String,
+    },
+}
+
+impl EvalError {
+    pub(crate) fn io(path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_owned();
+        |source| Self::Io { path, source }
+    }
+}

@@ -1,0 +1,183 @@
+use crate::depth::{Depths, TestDepth};
+use crate::{EvalDataset, EvalError, EvalImage, EvalModel, InstanceErrors};
+use pseudoflow_geometry::Pose;
+use pseudoflow_metrics::{
+    Estimate, MatrixPose, add_m, add_threshold_m, adi_m, match_greedy, mspd_px, mspd_scale, mspd_thresholds, mssd_m,
+    mssd_thresholds, projection_px, rotation_error_rad, translation_error_m, vsd_thresholds, within_5cm_5deg,
+};
+use std::collections::BTreeMap;
+
+/// Estimates of one image and object, each with its index in the set.
+type Candidates<'a> = Vec<(usize, &'a Estimate)>;
+
+/// The estimates of a set by scene, image and object.
+pub(crate) type Index<'a> = BTreeMap<(u32, u32, u32), Candidates<'a>>;
+
+pub(crate) fn index(estimates: &[Estimate]) -> Index<'_> {
+    let mut index = Index::new();
+    for (i, e) in estimates.iter().enumerate() {
+        index.entry((e.scene_id, e.image_id, e.object_id)).or_default().push((i, e));
+    }
+    index
+}
+
+/// The errors of one estimate against one true instance, in the units of their thresholds.
+struct PairErrors {
+    /// ADD, or ADI for a symmetric object, metres.
+    add_s_m: f64,
+    /// MSSD in diameters.
+    mssd: f64,
+    /// MSPD in pixels of an image 640 wide.
+    mspd: f64,
+    /// VSD for each tau.
+    vsd: [f64; 10],
+}
+
+/// The errors of all instances that are to be found in an image, for each set of estimates.
+pub(crate) fn score_image(
+    dataset: &EvalDataset,
+    image: &EvalImage,
+    sets: &[Index<'_>],
+) -> Result<Vec<Vec<InstanceErrors>>, EvalError> {
+    let test = TestDepth::of(dataset, image)?;
+    let mut by_set = vec![Vec::new(); sets.len()];
+    for object_id in image.targets.keys() {
+        let truth: Vec<usize> =
+            (0..image.truth.len()).filter(|i| image.valid[*i] && image.truth[*i].object_id == *object_id).collect();
+        for (set, out) in sets.iter().zip(&mut by_set) {
+            let empty = Candidates::new();
+            let candidates = set.get(&(image.scene_id, image.frame.image_id, *object_id)).unwrap_or(&empty);
+            let object = Object { dataset, image, test: &test, object_id: *object_id, truth: &truth };
+            out.extend(object.score(candidates)?);
+        }
+    }
+    Ok(by_set)
+}
+
+/// VSD of one pose pair in an image, for each of the benchmark's tolerances: against the image's depth, or rendered
+/// depth where it has none.
+///
+/// # Errors
+/// When the depth image cannot be read or the object is unknown.
+pub fn vsd_of_pair(
+    dataset: &EvalDataset,
+    image: &EvalImage,
+    object_id: u32,
+    est: &MatrixPose,
+    gt: &MatrixPose,
+) -> Result<[f64; 10], EvalError> {
+    let test = TestDepth::of(dataset, image)?;
+    let object = dataset.objects.get(object_id)?;
+    let model = &dataset.models[&object_id];
+    let depths = Depths::render(image, &test, (object, model), std::slice::from_ref(est), std::slice::from_ref(gt));
+    Ok(depths.vsd(0, 0, object.diameter_m))
+}
+
+/// One object in one image.
+struct Object<'a> {
+    dataset: &'a EvalDataset,
+    image: &'a EvalImage,
+    test: &'a TestDepth,
+    object_id: u32,
+    /// The instances to be found, as indices of the image's truth.
+    truth: &'a [usize],
+}
+
+impl Object<'_> {
+    fn score(&self, candidates: &Candidates) -> Result<Vec<InstanceErrors>, EvalError> {
+        let top = self.image.targets.get(&self.object_id).copied().unwrap_or(0) as usize;
+        let mut best: Candidates = candidates.clone();
+        best.sort_by(|a, b| b.1.score.total_cmp(&a.1.score));
+        best.truncate(top);
+        let pairs = self.pairs(&best)?;
+        let model = &self.dataset.models[&self.object_id];
+        let scores: Vec<f64> = best.iter().map(|(_, e)| e.score).collect();
+        let matched = |threshold: f64, error: &dyn Fn(&PairErrors) -> f64| {
+            let errors: Vec<Vec<f64>> = pairs.iter().map(|row| row.iter().map(error).collect()).collect();
+            match_greedy(&errors, &scores, &vec![true; self.truth.len()], threshold, top)
+        };
+        let nearest = matched(f64::INFINITY, &|p| p.add_s_m);
+        let add_s = matched(add_threshold_m(model.diameter_m), &|p| p.add_s_m);
+        let mssd = mssd_thresholds().map(|t| matched(t, &|p| p.mssd));
+        let mspd = mspd_thresholds().map(|t| matched(t, &|p| p.mspd));
+        let vsd: Vec<[Vec<Option<usize>>; 10]> =
+            (0..10).map(|tau| vsd_thresholds().map(|t| matched(t, &|p| p.vsd[tau]))).collect();
+        let record = |g: usize| {
+            let mut errors = match nearest[g] {
+                Some(e) => self.matched_errors(best[e], g, &pairs[e][g], model),
+                None => self.unmatched(g),
+            };
+            errors.add_s_correct = add_s[g].is_some();
+            errors.mssd_met = std::array::from_fn(|i| mssd[i][g].is_some());
+            errors.mspd_met = std::array::from_fn(|i| mspd[i][g].is_some());
+            errors.vsd_met = std::array::from_fn(|i| vsd.iter().filter(|of_tau| of_tau[i][g].is_some()).count() as u32);
+            errors
+        };
+        Ok((0..self.truth.len()).map(record).collect())
+    }
+
+    /// `[estimate][instance]`.
+    fn pairs(&self, candidates: &Candidates) -> Result<Vec<Vec<PairErrors>>, EvalError> {
+        let model = &self.dataset.models[&self.object_id];
+        let object = self.dataset.objects.get(self.object_id)?;
+        let est: Vec<MatrixPose> = candidates.iter().map(|(_, e)| e.camera_from_object).collect();
+        let gt: Vec<MatrixPose> = self.truth.iter().map(|i| self.image.truth[*i].camera_from_object).collect();
+        let depths = Depths::render(self.image, self.test, (object, model), &est, &gt);
+        let intrinsics = &self.image.frame.intrinsics;
+        let pair = |e: usize, g: usize| PairErrors {
+            add_s_m: add_s_m(model, &est[e], &gt[g]),
+            mssd: mssd_m(&model.points, &est[e], &gt[g], &model.symmetries) / model.diameter_m,
+            mspd: mspd_px(&model.points, &est[e], &gt[g], intrinsics, &model.symmetries)
+                * mspd_scale(self.image.size_px.0),
+            vsd: depths.vsd(e, g, model.diameter_m),
+        };
+        Ok((0..est.len()).map(|e| (0..gt.len()).map(|g| pair(e, g)).collect()).collect())
+    }
+
+    fn unmatched(&self, g: usize) -> InstanceErrors {
+        InstanceErrors {
+            scene_id: self.image.scene_id,
+            image_id: self.image.frame.image_id,
+            object_id: self.object_id,
+            instance: self.truth[g] as u32,
+            ..InstanceErrors::default()
+        }
+    }
+
+    fn matched_errors(
+        &self,
+        found: (usize, &Estimate),
+        g: usize,
+        pair: &PairErrors,
+        model: &EvalModel,
+    ) -> InstanceErrors {
+        let (row, est) = (found.0, &found.1.camera_from_object);
+        let gt = self.image.truth[self.truth[g]].camera_from_object;
+        let gt = nearest_symmetric(est, &gt, &model.symmetries);
+        let finite = |v: f64| Some(v).filter(|v| v.is_finite());
+        InstanceErrors {
+            estimate: Some(row),
+            add_s_m: finite(pair.add_s_m),
+            add_s_of_diameter: finite(pair.add_s_m / model.diameter_m),
+            mssd_of_diameter: finite(pair.mssd),
+            mspd_px: finite(pair.mspd),
+            vsd: Some(pair.vsd.iter().sum::<f64>() / 10.0),
+            rotation_deg: Some(rotation_error_rad(est, &gt).to_degrees()),
+            translation_m: Some(translation_error_m(est, &gt)),
+            projection_px: finite(projection_px(&model.points, est, &gt, &self.image.frame.intrinsics)),
+            within_5cm_5deg: within_5cm_5deg(est, &gt, &[Pose::identity()]),
+            ..self.unmatched(g)
+        }
+    }
+}
+
+/// ADD, or ADI for a symmetric object, metres.
+fn add_s_m(model: &EvalModel, est: &MatrixPose, gt: &MatrixPose) -> f64 {
+    if model.symmetric { adi_m(&model.points, est, gt) } else { add_m(&model.points, est, gt) }
+}
+
+/// The truth, turned by the symmetry that brings its rotation nearest to the estimate.
+fn nearest_symmetric(est: &MatrixPose, gt: &MatrixPose, symmetries: &[Pose]) -> MatrixPose {
+    let turned = symmetries.iter().map(|s| gt.after(s));
+    turned.min_by(|a, b| rotation_error_rad(est, a).total_cmp(&rotation_error_rad(est, b))).unwrap_or(*gt)
+}
