@@ -3,11 +3,20 @@
 mod config;
 mod error;
 mod kernels;
+mod loss;
+mod onnx;
 pub mod ops;
+mod optim;
 mod raft;
+mod train;
 mod weights;
 
+pub use burn::tensor::{Device, Tensor};
 pub use config::{Architecture, NetworkConfig};
 pub use error::{NetworkError, Result};
+pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
+pub use onnx::{ExportOptions, export_onnx};
+pub use optim::{AdamWConfig, OneCycle};
 pub use raft::Raft;
+pub use train::{StepStats, TrainConfig, TrainState};
 pub use weights::{NamedTensor, Weights, WeightsInfo};

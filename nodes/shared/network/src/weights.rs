@@ -64,27 +64,32 @@ impl Weights {
     /// the first one in the network's order.
     pub fn load(path: &Path, config: &NetworkConfig) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(io_error(path))?;
-        let (info, mut tensors) = parse(&bytes, path)?;
+        let (info, tensors) = parse(&bytes, path)?;
+        Self::from_parts(info, tensors, config, &path.display().to_string())
+    }
+
+    /// Orders and checks loose tensors; `origin` is named in errors.
+    pub(crate) fn from_parts(
+        info: WeightsInfo,
+        mut tensors: BTreeMap<String, NamedTensor>,
+        config: &NetworkConfig,
+        origin: &str,
+    ) -> Result<Self> {
+        let mismatch = |tensor: &str, problem: String| NetworkError::WeightsMismatch {
+            origin: origin.into(),
+            network: config.name.clone(),
+            tensor: tensor.into(),
+            problem,
+        };
         let mut ordered = Vec::new();
         for spec in config.arch.layout() {
             let found = tensors.remove(&spec.name);
-            ordered.push(check_tensor(found, &spec).map_err(|problem| NetworkError::WeightsMismatch {
-                origin: path.display().to_string(),
-                network: config.name.clone(),
-                tensor: spec.name.clone(),
-                problem,
-            })?);
+            ordered.push(check_tensor(found, &spec).map_err(|problem| mismatch(&spec.name, problem))?);
         }
-        // Counters of the authors' batch norms carry nothing; anything else belongs to another network.
-        if let Some(extra) = tensors.keys().find(|name| !name.ends_with("num_batches_tracked")) {
-            return Err(NetworkError::WeightsMismatch {
-                origin: path.display().to_string(),
-                network: config.name.clone(),
-                tensor: extra.clone(),
-                problem: "is unknown to it".into(),
-            });
+        match tensors.keys().next() {
+            Some(extra) => Err(mismatch(extra, "is unknown to it".into())),
+            None => Ok(Self { info, tensors: ordered }),
         }
-        Ok(Self { info, tensors: ordered })
     }
 
     /// Writes a safetensors file: beside the target, synced, then renamed over it.
@@ -97,7 +102,7 @@ impl Weights {
 
     /// The file's bytes; the same weights give the same bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
-        serialize(&self.info, self.tensors.iter())
+        serialize_with(&self.info, self.tensors.iter(), &[])
     }
 
     /// All tensors in order.
@@ -163,12 +168,21 @@ fn check_tensor(found: Option<NamedTensor>, spec: &TensorSpec) -> std::result::R
 
 /// Reads all f32 tensors and the info of a safetensors file.
 pub(crate) fn parse(bytes: &[u8], path: &Path) -> Result<(WeightsInfo, BTreeMap<String, NamedTensor>)> {
+    parse_with(bytes, path).map(|(info, tensors, _)| (info, tensors))
+}
+
+/// Tensors by name, info, and all metadata of a safetensors file.
+pub(crate) type Parsed = (WeightsInfo, BTreeMap<String, NamedTensor>, HashMap<String, String>);
+
+/// [`parse`] with all metadata.
+pub(crate) fn parse_with(bytes: &[u8], path: &Path) -> Result<Parsed> {
     let bad = |message: String| NetworkError::WeightsFormat { path: path.into(), message };
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| bad(e.to_string()))?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| bad(e.to_string()))?;
     let metadata = header.metadata().clone().unwrap_or_default();
     let mut tensors = BTreeMap::new();
     for (name, view) in file.tensors() {
+        // Counters of the authors' batch norms carry nothing.
         if name.ends_with("num_batches_tracked") {
             continue;
         }
@@ -178,7 +192,7 @@ pub(crate) fn parse(bytes: &[u8], path: &Path) -> Result<(WeightsInfo, BTreeMap<
         let data = view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         tensors.insert(name.clone(), NamedTensor { name, shape: view.shape().to_vec(), data });
     }
-    Ok((read_info(&metadata).map_err(bad)?, tensors))
+    Ok((read_info(&metadata).map_err(bad)?, tensors, metadata))
 }
 
 fn read_info(metadata: &HashMap<String, String>) -> std::result::Result<WeightsInfo, String> {
@@ -191,8 +205,12 @@ fn read_info(metadata: &HashMap<String, String>) -> std::result::Result<WeightsI
     }
 }
 
-/// The bytes of a safetensors file with this info and these tensors.
-pub(crate) fn serialize<'a>(info: &WeightsInfo, tensors: impl Iterator<Item = &'a NamedTensor>) -> Vec<u8> {
+/// The bytes of a safetensors file with this info, these tensors and more metadata.
+pub(crate) fn serialize_with<'a>(
+    info: &WeightsInfo,
+    tensors: impl Iterator<Item = &'a NamedTensor>,
+    more: &[(&str, String)],
+) -> Vec<u8> {
     let bytes: Vec<(&NamedTensor, Vec<u8>)> =
         tensors.map(|t| (t, t.data.iter().flat_map(|v| v.to_le_bytes()).collect())).collect();
     let views = bytes.iter().map(|(t, b)| {
@@ -200,7 +218,8 @@ pub(crate) fn serialize<'a>(info: &WeightsInfo, tensors: impl Iterator<Item = &'
         (t.name.as_str(), view)
     });
     let text = serde_json::to_string(info).expect("plain struct");
-    let metadata = HashMap::from([("pseudoflow".to_string(), text)]);
+    let mut metadata = HashMap::from([("pseudoflow".to_string(), text)]);
+    metadata.extend(more.iter().map(|(key, value)| (key.to_string(), value.clone())));
     safetensors::serialize(views, Some(metadata)).expect("names are unique, shapes are small")
 }
 

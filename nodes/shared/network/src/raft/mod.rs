@@ -49,7 +49,7 @@ pub(crate) struct Source<'a> {
 }
 
 /// Added to stored variances, as PyTorch does.
-const BATCH_NORM_EPSILON: f32 = 1e-5;
+pub(crate) const BATCH_NORM_EPSILON: f32 = 1e-5;
 
 impl<'a> Source<'a> {
     fn new(weights: &'a Weights, config: &NetworkConfig, device: &'a Device) -> Result<Self> {
@@ -73,8 +73,13 @@ impl<'a> Source<'a> {
         Tensor::from_data(TensorData::new(tensor.data.clone(), tensor.shape.clone()), self.device)
     }
 
+    fn trained<const D: usize>(&self, name: &str) -> Tensor<D> {
+        let tensor = self.tensor(name);
+        if self.device.is_autodiff() { tensor.require_grad() } else { tensor }
+    }
+
     fn vector(&self, name: String) -> Tensor<1> {
-        let tensor = self.tensor(&name).require_grad();
+        let tensor = self.trained(&name);
         self.parameters.borrow_mut().push(Parameter::Vector(name, tensor.clone()));
         tensor
     }
@@ -82,7 +87,7 @@ impl<'a> Source<'a> {
     /// Weight and bias of convolution `name`.
     pub(crate) fn conv(&self, name: &str) -> (Tensor<4>, Tensor<1>) {
         let weight_name = format!("{name}.weight");
-        let weight = self.tensor(&weight_name).require_grad();
+        let weight = self.trained(&weight_name);
         self.parameters.borrow_mut().push(Parameter::Conv(weight_name, weight.clone()));
         (weight, self.vector(format!("{name}.bias")))
     }

@@ -1,0 +1,75 @@
+use super::*;
+use burn::tensor::Device;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rten_tensor::prelude::*;
+use std::path::Path;
+
+fn images(n: usize, size: usize, seed: u64) -> [Vec<f32>; 2] {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    [(); 2].map(|()| (0..n * 3 * size * size).map(|_| rng.random_range(-1.0..1.0)).collect())
+}
+
+/// Largest difference between the exported graph in rten and the network in burn, px.
+fn difference(weights: &Weights, config: &NetworkConfig, options: ExportOptions, n: usize) -> f32 {
+    let (size, device) = (options.size_px, Device::flex());
+    let model = rten::Model::load(export_onnx(weights, config, options).unwrap()).unwrap();
+    let [reference, real] = images(n, size, 1);
+    let input = |name: &str, data: &[f32]| {
+        let tensor = rten_tensor::Tensor::from_data(&[n, 3, size, size], data.to_vec());
+        (model.node_id(name).unwrap(), rten::ValueOrView::from(tensor))
+    };
+    let inputs = vec![input("reference", &reference), input("real", &real)];
+    let mut outputs = model.run(inputs, &[model.node_id("flow").unwrap()], None).unwrap();
+    let flow: rten_tensor::Tensor<f32> = outputs.remove(0).try_into().unwrap();
+    assert_eq!(flow.shape(), [n, 2, size, size]);
+    let raft = Raft::new(weights, config, &device).unwrap();
+    let ours = raft.infer_slices(&reference, &real, n, size, options.iterations, &device).unwrap();
+    let theirs = flow.to_vec();
+    ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn small_network_equals_burn() {
+    let config = NetworkConfig::small();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../config/weights/raft_small.safetensors");
+    let weights = Weights::load(&path, &config).unwrap();
+    for (batch, n) in [(Some(2), 2), (None, 3)] {
+        let options = ExportOptions { size_px: 64, iterations: 3, batch };
+        let worst = difference(&weights, &config, options, n);
+        assert!(worst < 1e-3, "{worst} px with batch {batch:?}");
+    }
+}
+
+#[test]
+fn basic_network_equals_burn() {
+    let config = NetworkConfig::paper();
+    let mut weights = Weights::random(&config, 4);
+    // Statistics as a trained network has them, so that the folding is tested.
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    for tensor in weights.tensors_mut().filter(|t| t.name.contains("running_") || t.name.contains("norm")) {
+        tensor.data.iter_mut().for_each(|v| *v += rng.random_range(0.0..0.5));
+    }
+    for (batch, n) in [(Some(1), 1), (None, 2)] {
+        let worst = difference(&weights, &config, ExportOptions { size_px: 64, iterations: 2, batch }, n);
+        assert!(worst < 1e-3, "{worst} px with batch {batch:?}");
+    }
+}
+
+#[test]
+fn bad_options_are_named() {
+    let config = NetworkConfig::nano();
+    let weights = Weights::random(&config, 1);
+    let good = ExportOptions { size_px: 128, iterations: 6, batch: None };
+    for (options, field) in [
+        (ExportOptions { size_px: 100, ..good }, "size_px"),
+        (ExportOptions { iterations: 0, ..good }, "iterations"),
+        (ExportOptions { batch: Some(0), ..good }, "batch"),
+    ] {
+        let text = export_onnx(&weights, &config, options).unwrap_err().to_string();
+        assert!(text.contains(field), "{text}");
+    }
+    let text = export_onnx(&weights, &NetworkConfig::paper(), good).unwrap_err().to_string();
+    assert!(text.contains("fnet.conv1.weight"), "{text}");
+    assert_eq!(export_onnx(&weights, &config, good).unwrap(), export_onnx(&weights, &config, good).unwrap());
+}

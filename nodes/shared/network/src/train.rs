@@ -1,0 +1,196 @@
+//! A training run: weights, optimiser and step, saved whole so that a resumed run has the bits of an unbroken one.
+
+use crate::config::NetworkConfig;
+use crate::error::{NetworkError, Result, io_error};
+use crate::loss::{FlowBatch, end_point_error, sequence_loss, values};
+use crate::optim::{AdamWConfig, Moments, OneCycle, adamw, clip_scale, global_norm};
+use crate::raft::Raft;
+use crate::weights::{NamedTensor, Weights, parse_with, serialize_with, write_atomically};
+use burn::tensor::{Device, Tensor};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// How to train.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Learning rate over the run.
+    pub schedule: OneCycle,
+    /// Optimiser constants.
+    pub adamw: AdamWConfig,
+    /// Largest global gradient norm.
+    pub clip_norm: f64,
+    /// Weight of an iteration relative to the next.
+    pub gamma: f32,
+}
+
+impl TrainConfig {
+    /// The paper's constants for a run of `total_steps` with peak rate `max_lr`.
+    pub fn new(max_lr: f64, total_steps: u64) -> Self {
+        Self {
+            schedule: OneCycle::new(max_lr, total_steps),
+            adamw: AdamWConfig::default(),
+            clip_norm: 1.0,
+            gamma: 0.8,
+        }
+    }
+}
+
+/// What one step did.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct StepStats {
+    /// Steps taken, this one included.
+    pub step: u64,
+    /// Loss before the step, px.
+    pub loss: f32,
+    /// Mean end point error of the last iteration, px; NaN if the loss has none.
+    pub epe: f32,
+    /// Global gradient norm before clipping.
+    pub grad_norm: f64,
+    /// Learning rate of the step.
+    pub lr: f64,
+}
+
+/// A training run in progress.
+#[derive(Debug)]
+pub struct TrainState {
+    /// The network.
+    pub network: NetworkConfig,
+    /// How it is trained.
+    pub config: TrainConfig,
+    /// The weights; `weights.info.step` counts the steps.
+    pub weights: Weights,
+    moments: Vec<Moments>,
+    device: Device,
+}
+
+impl TrainState {
+    /// Starts a run from weights, at step 0. `device` is a plain device such as `Device::flex()`.
+    ///
+    /// # Errors
+    /// The weights belong to another architecture, or the configuration is out of range.
+    pub fn new(network: NetworkConfig, config: TrainConfig, mut weights: Weights, device: &Device) -> Result<Self> {
+        network.check()?;
+        Raft::new(&weights, &network, device)?;
+        weights.info.network = network.name.clone();
+        weights.info.config_hash = network.hash();
+        weights.info.step = 0;
+        let moments = weights.tensors().iter().map(|t| Moments::zeros(t.data.len())).collect();
+        Ok(Self { network, config, weights, moments, device: device.clone() })
+    }
+
+    /// Steps taken.
+    pub fn step(&self) -> u64 {
+        self.weights.info.step
+    }
+
+    /// One step on synthetic pairs of side [`NetworkConfig::size_px`] with [`sequence_loss`].
+    ///
+    /// # Errors
+    /// The batch has wrong lengths or values, or loss or gradient are not finite: the weights then stay as they were.
+    pub fn train_step(&mut self, batch: &FlowBatch<'_>) -> Result<StepStats> {
+        let device = self.device.clone().autodiff();
+        let data = batch.to_device(self.network.size_px, &device)?;
+        let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
+        let mut epe = f32::NAN;
+        let mut stats = self.step_with(|raft| {
+            let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
+            let last = values(flows[iterations - 1].clone());
+            epe = end_point_error(&last, &values(data.flow.clone()), &values(data.mask.clone()), batch.n);
+            sequence_loss(&flows, &data, gamma)
+        })?;
+        stats.epe = epe;
+        Ok(stats)
+    }
+
+    /// One step on any loss of shape (1), given the network on the device with autodiff.
+    ///
+    /// # Errors
+    /// Loss or gradient are not finite: the weights then stay as they were.
+    pub fn step_with(&mut self, loss: impl FnOnce(&Raft) -> Tensor<1>) -> Result<StepStats> {
+        let raft = Raft::new(&self.weights, &self.network, &self.device.clone().autodiff())?;
+        let loss = loss(&raft);
+        let value = values(loss.clone())[0];
+        self.check_finite(value.is_finite(), "the loss")?;
+        let mut by_name = raft.gradients(&loss.backward());
+        let grads: Vec<Vec<f32>> =
+            self.weights.tensors().iter().map(|t| by_name.remove(&t.name).unwrap_or_default()).collect();
+        let grad_norm = global_norm(&grads);
+        self.check_finite(grad_norm.is_finite(), "the gradient")?;
+        let lr = self.config.schedule.lr(self.step());
+        self.apply(&grads, clip_scale(grad_norm, self.config.clip_norm), lr);
+        Ok(StepStats { step: self.step(), loss: value, epe: f32::NAN, grad_norm, lr })
+    }
+
+    fn check_finite(&self, finite: bool, what: &str) -> Result<()> {
+        if finite {
+            return Ok(());
+        }
+        Err(NetworkError::NotFinite { step: self.step(), what: what.into() })
+    }
+
+    /// Updates each tensor that has a gradient; stored statistics have none.
+    fn apply(&mut self, grads: &[Vec<f32>], scale: f32, lr: f64) {
+        let (taken, config) = (self.step(), self.config.adamw);
+        let tensors: Vec<&mut NamedTensor> = self.weights.tensors_mut().collect();
+        tensors.into_par_iter().zip(&mut self.moments).zip(grads).for_each(|((tensor, moments), grad)| {
+            if !grad.is_empty() {
+                adamw(&config, taken, lr, &mut tensor.data, grad, scale, moments);
+            }
+        });
+        self.weights.info.step += 1;
+    }
+
+    /// Writes the whole state atomically.
+    ///
+    /// # Errors
+    /// The folder is not writable or the disk is full; an older checkpoint then stays.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let mut all: Vec<NamedTensor> = self.weights.tensors().to_vec();
+        for (tensor, moments) in self.weights.tensors().iter().zip(&self.moments) {
+            for (prefix, data) in [(MEAN, &moments.mean), (SQUARE, &moments.square)] {
+                let name = format!("{prefix}{}", tensor.name);
+                all.push(NamedTensor { name, shape: tensor.shape.clone(), data: data.clone() });
+            }
+        }
+        let training = serde_json::to_string(&self.config).expect("plain struct");
+        write_atomically(path, &serialize_with(&self.weights.info, all.iter(), &[(TRAINING, training)]))
+    }
+
+    /// Reads a state that [`Self::save`] wrote, to continue it.
+    ///
+    /// # Errors
+    /// The file is unreadable or damaged, carries no optimiser state, or belongs to another network.
+    pub fn load(path: &Path, network: NetworkConfig, device: &Device) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(io_error(path))?;
+        let (info, mut tensors, metadata) = parse_with(&bytes, path)?;
+        let problem = |text: String| NetworkError::Checkpoint { path: path.into(), problem: text };
+        let text = metadata.get(TRAINING).ok_or_else(|| {
+            problem("has no training state; these are plain weights: start a new run from them instead".into())
+        })?;
+        let config = serde_json::from_str(text).map_err(|e| problem(format!("training state is damaged: {e}")))?;
+        if info.config_hash != network.hash() {
+            let text = format!("belongs to network `{}` in another configuration; resume with that one", info.network);
+            return Err(problem(text));
+        }
+        let mut moments = Vec::new();
+        for spec in network.arch.layout() {
+            let mut take = |prefix: &str| {
+                let found = tensors.remove(&format!("{prefix}{}", spec.name)).filter(|t| t.shape == spec.shape);
+                found.map(|t| t.data).ok_or_else(|| problem(format!("lacks `{prefix}{}` or its shape", spec.name)))
+            };
+            moments.push(Moments { mean: take(MEAN)?, square: take(SQUARE)? });
+        }
+        let weights = Weights::from_parts(info, tensors, &network, &path.display().to_string())?;
+        Ok(Self { network, config, weights, moments, device: device.clone() })
+    }
+}
+
+/// Prefixes of the optimiser's tensors and key of the run's constants in a checkpoint.
+const MEAN: &str = "adamw.mean.";
+const SQUARE: &str = "adamw.square.";
+const TRAINING: &str = "pseudoflow_training";
+
+#[cfg(test)]
+mod tests;
