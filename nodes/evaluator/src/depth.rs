@@ -87,25 +87,33 @@ impl Window {
     /// The object's depth as bop_toolkit's OpenGL renderers give it: sampled half a pixel right of and below the
     /// pixel (see [`vsd`]).
     fn render(&self, model: &EvalModel, pose: &MatrixPose, k: &Intrinsics) -> Vec<f32> {
-        if self.width * self.height == 0 {
-            return Vec::new();
-        }
         let k = self.camera(k);
-        let intrinsics = Intrinsics { cx: k.cx - 0.5, cy: k.cy - 0.5, ..k };
-        let stretched = pose.stretch().map(|by| stretched(&model.depth_mesh, &by));
-        let mesh = stretched.as_ref().unwrap_or(&model.depth_mesh);
-        let items = [Item { mesh, camera_from_object: pose.pose() }];
-        let (width, height) = (self.width as u32, self.height as u32);
-        let scene = Scene { items: &items, intrinsics, width, height, background: Background::Colour([0; 3]) };
-        let mut out = Rendering::new(width, height);
-        render_scene(&scene, &NoColour, &mut Scratch::default(), &mut out);
-        out.depth_m
+        let k = Intrinsics { cx: k.cx - 0.5, cy: k.cy - 0.5, ..k };
+        render(model, pose, &k, self.width as u32, self.height as u32).depth_m
     }
 
     fn cut(&self, image: &[f32], image_width: usize) -> Vec<f32> {
         let row = |y: usize| &image[y * image_width + self.x0..][..self.width];
         (self.y0..self.y0 + self.height).flat_map(row).copied().collect()
     }
+}
+
+/// The silhouette in a square image: not 0 inside.
+pub(crate) fn mask(model: &EvalModel, pose: &MatrixPose, k: &Intrinsics, size_px: u32) -> Vec<u8> {
+    render(model, pose, k, size_px, size_px).mask
+}
+
+fn render(model: &EvalModel, pose: &MatrixPose, k: &Intrinsics, width: u32, height: u32) -> Rendering {
+    let mut out = Rendering::new(width, height);
+    if width * height == 0 {
+        return out;
+    }
+    let stretched = pose.stretch().map(|by| stretched(&model.depth_mesh, &by));
+    let mesh = stretched.as_ref().unwrap_or(&model.depth_mesh);
+    let items = [Item { mesh, camera_from_object: pose.pose() }];
+    let scene = Scene { items: &items, intrinsics: *k, width, height, background: Background::Colour([0; 3]) };
+    render_scene(&scene, &NoColour, &mut Scratch::default(), &mut out);
+    out
 }
 
 fn moved(pose: &MatrixPose, p: &Point3<f64>) -> Point3<f64> {
