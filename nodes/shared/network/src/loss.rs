@@ -118,7 +118,7 @@ pub fn end_point_error(flow: &[f32], truth: &[f32], mask: &[f32], n: usize) -> f
 
 /// Values of a tensor.
 pub(crate) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().into_vec::<f32>().expect("the network works in f32")
+    tensor.into_data().try_into_vec::<f32>().expect("the network works in f32")
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ fn from_values<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Tensor<D>
 }
 
 fn values<const D: usize>(t: Tensor<D>) -> Vec<f32> {
-    t.into_data().into_vec().unwrap()
+    t.into_data().try_into_vec().unwrap()
 }
 
 fn assert_close(what: &str, a: &[f32], b: &[f32], tolerance: f32) {

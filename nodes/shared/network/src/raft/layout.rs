@@ -21,13 +21,6 @@ pub(crate) struct TensorSpec {
     pub(crate) init: Init,
 }
 
-impl TensorSpec {
-    /// Stored statistics are data, not parameters: the optimiser leaves them alone.
-    pub(crate) fn is_trained(&self) -> bool {
-        !self.name.contains(".running_")
-    }
-}
-
 /// Widths that differ between the two architectures.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Widths {

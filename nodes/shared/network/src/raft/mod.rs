@@ -159,7 +159,7 @@ impl Raft {
             Ok(Tensor::<4>::from_data(TensorData::new(data.to_vec(), shape), device))
         };
         let flow = self.infer(image("reference", reference)?, image("real", real)?, iterations);
-        Ok(flow.into_data().into_vec::<f32>().expect("the network works in f32"))
+        Ok(flow.into_data().try_into_vec::<f32>().expect("the network works in f32"))
     }
 
     /// Calls `each(i, flow at 1/8 (N, 2, S/8, S/8), hidden state)` after each iteration.
@@ -208,7 +208,7 @@ impl Raft {
 
     /// Gradients of all trained tensors by name, row-major; zeros for tensors that the loss does not touch.
     pub(crate) fn gradients(&self, grads: &burn::tensor::Gradients) -> HashMap<String, Vec<f32>> {
-        let values = |data: TensorData| data.into_vec::<f32>().expect("the network works in f32");
+        let values = |data: TensorData| data.try_into_vec::<f32>().expect("the network works in f32");
         let entries = self.parameters.iter().map(|parameter| match parameter {
             Parameter::Conv(name, t) => {
                 let grad = t.grad(grads).map(|g| values(g.into_data()));
