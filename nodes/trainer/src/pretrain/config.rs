@@ -1,0 +1,171 @@
+use crate::TrainerError;
+use crate::synth::SynthConfig;
+use pseudoflow_network::{Architecture, NetworkConfig};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// A pre-training run. Unknown keys are rejected.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PretrainConfig {
+    /// BOP `models/` folder; one network is trained for all its objects.
+    pub objects: PathBuf,
+    /// `nano`, `small`, `paper`, or the path of a YAML file as in config/networks.
+    pub network: String,
+    /// Where the weights go (safetensors). Log (.csv), plot (.svg) and checkpoint (.checkpoint) stand beside it.
+    pub out: PathBuf,
+    /// Optimiser steps.
+    #[serde(default = "defaults::steps")]
+    pub steps: u64,
+    /// Pairs per step at the network's size; larger crops get fewer, so that the pixels stay about the same.
+    #[serde(default = "defaults::batch")]
+    pub batch: usize,
+    /// Peak of the one-cycle learning rate.
+    #[serde(default = "defaults::max_lr")]
+    pub max_lr: f64,
+    /// Seed of data and fresh weights.
+    #[serde(default)]
+    pub seed: u64,
+    /// Weights to start from.
+    #[serde(default)]
+    pub warm_start: WarmStart,
+    /// RAFT iterations in training, in place of the network's.
+    #[serde(default)]
+    pub iterations: Option<usize>,
+    /// Crop sizes to train at; empty for the network's size alone.
+    #[serde(default)]
+    pub sizes: Vec<SizeShare>,
+    /// Steps between checkpoints.
+    #[serde(default = "defaults::checkpoint_every")]
+    pub checkpoint_every: u64,
+    /// Continue from the checkpoint, which must exist.
+    #[serde(default)]
+    pub resume: bool,
+    /// Threads that make samples beside the training step. They do not change the result.
+    #[serde(default = "defaults::data_threads")]
+    pub data_threads: usize,
+    /// The synthetic scenes.
+    #[serde(default)]
+    pub synth: SynthConfig,
+}
+
+/// What a run starts from.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum WarmStart {
+    /// [`SHIPPED_WEIGHTS`] for RAFT-small, random weights for RAFT Basic (none are shipped for it).
+    #[default]
+    Auto,
+    /// Random weights.
+    Random,
+    /// A safetensors file.
+    File(PathBuf),
+}
+
+/// RAFT-small as its authors trained it, relative to the repository.
+pub const SHIPPED_WEIGHTS: &str = "config/weights/raft_small.safetensors";
+
+/// How often a crop size is used.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SizeShare {
+    /// Side of the crop, pixels; a multiple of 8.
+    pub size_px: usize,
+    /// Relative frequency.
+    pub weight: f64,
+}
+
+mod defaults {
+    pub(super) fn steps() -> u64 {
+        20_000
+    }
+    pub(super) fn batch() -> usize {
+        4
+    }
+    pub(super) fn max_lr() -> f64 {
+        2e-4
+    }
+    pub(super) fn checkpoint_every() -> u64 {
+        200
+    }
+    pub(super) fn data_threads() -> usize {
+        1
+    }
+}
+
+impl PretrainConfig {
+    /// The defaults for an object set, a network and an output file.
+    #[must_use]
+    pub fn new(objects: PathBuf, network: &str, out: PathBuf) -> Self {
+        Self {
+            objects,
+            network: network.to_owned(),
+            out,
+            steps: defaults::steps(),
+            batch: defaults::batch(),
+            max_lr: defaults::max_lr(),
+            seed: 0,
+            warm_start: WarmStart::default(),
+            iterations: None,
+            sizes: Vec::new(),
+            checkpoint_every: defaults::checkpoint_every(),
+            resume: false,
+            data_threads: defaults::data_threads(),
+            synth: SynthConfig::default(),
+        }
+    }
+
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// Names the first field out of range.
+    pub fn check(&self) -> Result<(), TrainerError> {
+        let size_ok = |s: &SizeShare| {
+            s.size_px.is_multiple_of(8) && (64..=1024).contains(&s.size_px) && s.weight > 0.0 && s.weight.is_finite()
+        };
+        let rules = [
+            ("steps", (1..=100_000_000).contains(&self.steps), "1 to 100000000"),
+            ("batch", (1..=256).contains(&self.batch), "1 to 256"),
+            ("max_lr", self.max_lr > 0.0 && self.max_lr <= 0.1, "a number over 0, at most 0.1"),
+            ("iterations", self.iterations.is_none_or(|n| (1..=64).contains(&n)), "1 to 64"),
+            ("sizes", self.sizes.iter().all(size_ok), "multiples of 8 from 64 to 1024, with weights over 0"),
+            ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
+            ("data_threads", (1..=64).contains(&self.data_threads), "1 to 64"),
+        ];
+        match rules.iter().find(|(_, holds, _)| !holds) {
+            Some((field, _, wanted)) => Err(TrainerError::Config { field: (*field).to_owned(), wanted }),
+            None => self.synth.check(),
+        }
+    }
+
+    /// The network that `network` names, with `iterations` put in.
+    ///
+    /// # Errors
+    /// When the YAML file is bad.
+    pub fn resolve_network(&self) -> Result<NetworkConfig, TrainerError> {
+        let mut network = match self.network.as_str() {
+            "nano" => NetworkConfig::nano(),
+            "small" => NetworkConfig::small(),
+            "paper" => NetworkConfig::paper(),
+            path => NetworkConfig::from_yaml_file(Path::new(path))?,
+        };
+        network.iterations_train = self.iterations.unwrap_or(network.iterations_train);
+        Ok(network)
+    }
+
+    /// The weights file to start from, or `None` for random weights.
+    pub(super) fn start_weights(&self, network: &NetworkConfig) -> Option<PathBuf> {
+        match (&self.warm_start, network.arch) {
+            (WarmStart::File(path), _) => Some(path.clone()),
+            (WarmStart::Auto, Architecture::Small) => Some(PathBuf::from(SHIPPED_WEIGHTS)),
+            (WarmStart::Auto, Architecture::Basic) | (WarmStart::Random, _) => None,
+        }
+    }
+
+    /// The checkpoint's path.
+    #[must_use]
+    pub fn checkpoint_path(&self) -> PathBuf {
+        self.out.with_extension("checkpoint")
+    }
+}

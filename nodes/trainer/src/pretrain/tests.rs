@@ -1,0 +1,77 @@
+use super::*;
+use crate::synth::tests::write_objects;
+use std::fs;
+
+/// Two RAFT iterations on 64 px crops, from random weights.
+fn tiny(folder: &Path) -> PretrainConfig {
+    let network = folder.join("tiny.yaml");
+    let yaml = "name: tiny\narch: small\nsize_px: 64\niterations_train: 2\niterations_infer: 2\n";
+    fs::write(&network, yaml).unwrap();
+    let mut config = PretrainConfig::new(write_objects(folder), &network.to_string_lossy(), folder.join("w.safetensors"));
+    (config.steps, config.batch, config.warm_start) = (4, 2, WarmStart::Random);
+    config.sizes = vec![SizeShare { size_px: 64, weight: 1.0 }, SizeShare { size_px: 72, weight: 1.0 }];
+    config
+}
+
+/// Stops after some steps.
+struct StopAt(u64, u64);
+
+impl Progress for StopAt {
+    fn start(&mut self, _: u64, _: u64) {}
+    fn step(&mut self, report: &StepReport, _: f32, _: f32) {
+        self.1 = report.step;
+    }
+    fn should_stop(&self) -> bool {
+        self.1 >= self.0
+    }
+}
+
+#[test]
+fn an_interrupted_run_ends_with_the_bytes_of_an_unbroken_one() {
+    let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let whole = pretrain(&tiny(one.path()), &mut Silent).unwrap();
+    assert!(whole.finished && whole.step == 4);
+    let mut config = tiny(two.path());
+    let part = pretrain(&config, &mut StopAt(2, 0)).unwrap();
+    assert!(!part.finished && part.step == 2 && !config.out.exists());
+    (config.resume, config.data_threads) = (true, 3);
+    let rest = pretrain(&config, &mut Silent).unwrap();
+    assert!(rest.finished);
+    assert_eq!(fs::read(&whole.written).unwrap(), fs::read(&rest.written).unwrap());
+    let log = |folder: &Path| fs::read_to_string(folder.join("w.csv")).unwrap();
+    assert_eq!(log(one.path()), log(two.path()));
+    assert!(fs::read_to_string(&rest.plot).unwrap().contains("polyline"));
+}
+
+#[test]
+fn another_configuration_cannot_resume() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = tiny(folder.path());
+    pretrain(&config, &mut StopAt(1, 0)).unwrap();
+    (config.resume, config.seed) = (true, 9);
+    let message = pretrain(&config, &mut Silent).unwrap_err().to_string();
+    assert!(message.contains("seed"), "{message}");
+}
+
+#[test]
+fn errors_come_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = tiny(folder.path());
+    config.out = folder.path().join("results/w.safetensors");
+    config.warm_start = WarmStart::File(folder.path().join("none.safetensors"));
+    assert!(pretrain(&config, &mut Silent).unwrap_err().to_string().contains("none.safetensors"));
+    config.max_lr = -1.0;
+    assert!(pretrain(&config, &mut Silent).unwrap_err().to_string().contains("max_lr"));
+    assert!(!folder.path().join("results").exists());
+}
+
+#[test]
+fn larger_crops_come_in_smaller_batches() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = tiny(folder.path());
+    config.batch = 4;
+    config.sizes = vec![SizeShare { size_px: 256, weight: 1.0 }];
+    assert_eq!(data::plan(&config, 128, 3), (256, 1));
+    config.sizes.clear();
+    assert_eq!(data::plan(&config, 128, 3), (128, 4));
+}

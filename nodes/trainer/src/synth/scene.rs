@@ -1,0 +1,301 @@
+//! A scene around the object: a table or nothing, a wall, other things behind and in front, and its picture.
+
+use super::SynthConfig;
+use super::light::{Lighting, Material, ShadowMap};
+use super::pattern::Pattern;
+use super::pose::{Placement, centre_m};
+use super::random::Draw;
+use super::sensor::LinearImage;
+use super::things::{draw_shape, finger, sheet};
+use super::window::Window;
+use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
+use pseudoflow_geometry::Pose;
+use pseudoflow_imaging::raster::{Background, Item, Rendering, Scene, Scratch, Shader, Surface, render_scene};
+use pseudoflow_imaging::{ImagingError, Mesh, Object, ObjectSet};
+use rand::Rng;
+use std::sync::Arc;
+
+/// A thing at its place. The object to be found is the first of a scene.
+struct Thing {
+    mesh: Arc<Mesh>,
+    camera_from_thing: Pose,
+    look: Look,
+    /// Stands between camera and object.
+    in_front: bool,
+}
+
+/// What a thing looks like: its material on its own texture, or on a pattern of a given unit (metres).
+struct Look {
+    material: Material,
+    pattern: Option<(Pattern, f32)>,
+}
+
+/// All that can be seen, and the light. Camera frame, metres.
+pub(super) struct SyntheticScene {
+    things: Vec<Thing>,
+    /// Table and wall: they receive shadows but cast none.
+    ground: Vec<Thing>,
+    lighting: Lighting,
+    centre_m: Vector3<f32>,
+    diameter_m: f32,
+}
+
+/// What the scene looks like, and what is where.
+pub(super) struct Picture {
+    /// Linear light, one value per pixel of the window.
+    pub(super) light: LinearImage,
+    /// Depth and owner (1 is the object) at `supersampling` times the window's resolution.
+    pub(super) visible: Rendering,
+}
+
+/// Where things are placed: the object's surroundings in the image.
+struct Surroundings<'a> {
+    placement: &'a Placement,
+    centre: Point3<f64>,
+    diameter_m: f64,
+    up: Vector3<f64>,
+    /// Height of the table along `up`; `None` when the object is in the air.
+    table_m: Option<f64>,
+}
+
+impl SyntheticScene {
+    /// Draws everything but the object, which stands at its true pose.
+    pub(super) fn draw(
+        rng: &mut impl Rng,
+        objects: &ObjectSet,
+        object: &Object,
+        placement: &Placement,
+        config: &SynthConfig,
+    ) -> Result<Self, ImagingError> {
+        let around = Surroundings::draw(rng, object, placement);
+        let material = Material::of_target(rng);
+        let target = Thing {
+            mesh: Arc::clone(&object.mesh),
+            camera_from_thing: placement.truth_camera_from_object,
+            look: Look { material, pattern: None },
+            in_front: false,
+        };
+        let mut things = vec![target];
+        if rng.chance(config.occluded) {
+            around.add_occluders(rng, objects, &mut things)?;
+        }
+        for _ in 0..rng.below(5) {
+            around.add_neighbour(rng, objects, &mut things)?;
+        }
+        let ground = around.ground(rng)?;
+        let (centre_m, diameter_m) = (around.centre.coords.map(|v| v as f32), around.diameter_m as f32);
+        let lighting = Lighting::draw(rng, around.up.map(|v| v as f32), centre_m, diameter_m);
+        Ok(Self { things, ground, lighting, centre_m, diameter_m })
+    }
+
+    /// Takes away what stands between camera and object.
+    pub(super) fn remove_occluders(&mut self) {
+        self.things.retain(|thing| !thing.in_front);
+    }
+
+    /// Renders the window of the camera's image.
+    pub(super) fn render(&self, window: &Window) -> Picture {
+        let casting: Vec<Item<'_>> = self.things.iter().map(Thing::item).collect();
+        let shadow = self.lighting.shadow_map(&casting, self.centre_m, self.diameter_m);
+        let all: Vec<&Thing> = self.things.iter().chain(&self.ground).collect();
+        let items: Vec<Item<'_>> = all.iter().map(|thing| thing.item()).collect();
+        let shader = SceneShader { looks: all.iter().map(|t| &t.look).collect(), lighting: &self.lighting, shadow };
+        let (width, height) = window.rendered_px();
+        let background = Background::Colour([100; 3]);
+        let scene = Scene { items: &items, intrinsics: window.rendered_intrinsics(), width, height, background };
+        let mut visible = Rendering::new(width, height);
+        render_scene(&scene, &shader, &mut Scratch::default(), &mut visible);
+        Picture { light: gather(&visible, window), visible }
+    }
+}
+
+/// The mean light over the sub-pixels of each pixel.
+fn gather(visible: &Rendering, window: &Window) -> LinearImage {
+    let (n, width, height) = (window.supersampling as usize, window.width as usize, window.height as usize);
+    let decode: [f32; 256] = std::array::from_fn(|v| decode_light(v as u8));
+    let raw = visible.rgb.as_raw();
+    let stride = width * n * 3;
+    let mut pixels = vec![[0.0_f32; 3]; width * height];
+    for (y, line) in raw.chunks_exact(stride).enumerate() {
+        let row = &mut pixels[y / n * width..][..width];
+        for (x, pixel) in line.as_chunks::<3>().0.iter().enumerate() {
+            (0..3).for_each(|k| row[x / n][k] += decode[usize::from(pixel[k])]);
+        }
+    }
+    let share = 1.0 / (n * n) as f32;
+    pixels.iter_mut().for_each(|p| *p = p.map(|c| c * share));
+    LinearImage { width, height, pixels }
+}
+
+/// Brightest light that the rasteriser's bytes hold; a white sheet in full light has 1.
+const BRIGHTEST: f32 = 2.0;
+
+/// The rasteriser keeps bytes: light is kept as its cube root, whose steps are as fine as those of sRGB.
+fn encode_light(light: f32) -> f32 {
+    (light / BRIGHTEST).clamp(0.0, 1.0).cbrt()
+}
+
+fn decode_light(byte: u8) -> f32 {
+    BRIGHTEST * (f32::from(byte) / 255.0).powi(3)
+}
+
+struct SceneShader<'a> {
+    looks: Vec<&'a Look>,
+    lighting: &'a Lighting,
+    shadow: Option<ShadowMap>,
+}
+
+impl Shader for SceneShader<'_> {
+    fn shade(&self, surface: &Surface) -> [f32; 3] {
+        let look = self.looks[surface.item];
+        let mut surface = *surface;
+        if let Some((pattern, unit_m)) = &look.pattern {
+            let [x, y, z] = surface.point_in_object.map(|c| c / unit_m);
+            surface.albedo = pattern.colour(x + 0.35 * z, y + 0.8 * z);
+        }
+        self.lighting.shade(&surface, &look.material, self.shadow.as_ref()).map(encode_light)
+    }
+}
+
+impl<'a> Surroundings<'a> {
+    fn draw(rng: &mut impl Rng, object: &Object, placement: &'a Placement) -> Self {
+        let truth = &placement.truth_camera_from_object;
+        let (elevation, roll) = (rng.uniform(8.0, 85.0).to_radians(), rng.uniform(-20.0, 20.0).to_radians());
+        let upright = Vector3::new(0.0, -elevation.cos(), -elevation.sin());
+        let up = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll) * upright;
+        let lowest = object.hull_m.iter().map(|p| up.dot(&(truth * p).coords)).fold(f64::MAX, f64::min);
+        let gap_m = if rng.chance(0.7) { 0.0 } else { rng.uniform(0.0, 0.5) * object.diameter_m };
+        let table_m = rng.chance(0.75).then_some(lowest - gap_m);
+        Self { placement, centre: truth * centre_m(object), diameter_m: object.diameter_m, up, table_m }
+    }
+
+    /// A point `offset` projected diameters beside the object's centre, at another depth.
+    fn beside(&self, rng: &mut impl Rng, offset: f64, z_m: f64) -> Point3<f64> {
+        let k = &self.placement.intrinsics;
+        let angle = rng.uniform(0.0, std::f64::consts::TAU);
+        let shift = offset * self.diameter_m / self.centre.z;
+        let (x, y) = (self.centre.x / self.centre.z + shift * angle.cos(), self.centre.y / self.centre.z + shift * angle.sin());
+        k.unproject(&Point2::new(k.fx * x + k.cx, k.fy * y + k.cy), z_m)
+    }
+
+    /// Something beside or behind, often standing on the table.
+    fn add_neighbour(&self, rng: &mut impl Rng, objects: &ObjectSet, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
+        let z_m = self.centre.z + self.diameter_m * rng.uniform(0.0, 2.5);
+        let offset = rng.uniform(0.5, 1.5);
+        let at = self.beside(rng, offset, z_m);
+        let mut thing = self.draw_thing(rng, objects, at)?;
+        if let (Some(table_m), true) = (self.table_m, rng.chance(0.8)) {
+            let bottom = thing.lowest_m(&self.up);
+            thing.camera_from_thing.translation.vector += self.up * (table_m - bottom);
+        }
+        things.push(thing);
+        Ok(())
+    }
+
+    /// One or two things before the object, or a hand.
+    fn add_occluders(&self, rng: &mut impl Rng, objects: &ObjectSet, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
+        if rng.chance(0.3) {
+            return self.add_hand(rng, things);
+        }
+        for _ in 0..1 + rng.below(2) {
+            let z_m = self.before(rng);
+            let offset = rng.uniform(0.25, 0.7);
+            let at = self.beside(rng, offset, z_m);
+            things.push(Thing { in_front: true, ..self.draw_thing(rng, objects, at)? });
+        }
+        Ok(())
+    }
+
+    fn before(&self, rng: &mut impl Rng) -> f64 {
+        (self.centre.z - self.diameter_m * rng.uniform(0.4, 1.3)).max(0.35 * self.centre.z)
+    }
+
+    /// An object of the set or a random shape.
+    fn draw_thing(&self, rng: &mut impl Rng, objects: &ObjectSet, at: Point3<f64>) -> Result<Thing, ImagingError> {
+        let rotation = rng.rotation();
+        let chosen = objects.iter().nth(rng.below(objects.len()));
+        if let (Some(object), true) = (chosen, rng.chance(0.4)) {
+            let camera_from_thing = Pose::from_parts(Translation3::from(at - rotation * centre_m(object)), rotation);
+            let look = Look { material: Material::of_distractor(rng), pattern: None };
+            return Ok(Thing { mesh: Arc::clone(&object.mesh), camera_from_thing, look, in_front: false });
+        }
+        let size_m = self.diameter_m as f32 * rng.log_uniform32(0.3, 1.5);
+        let busy = rng.chance(0.6);
+        let pattern = Some((Pattern::draw(rng, busy), size_m));
+        let look = Look { material: Material::of_distractor(rng), pattern };
+        let camera_from_thing = Pose::from_parts(Translation3::from(at.coords), rotation);
+        Ok(Thing { mesh: Arc::new(draw_shape(rng, size_m)?), camera_from_thing, look, in_front: false })
+    }
+
+    /// Two to four parallel fingers that reach over the edge of the object.
+    fn add_hand(&self, rng: &mut impl Rng, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
+        let skin = [rng.uniform32(0.35, 0.95), rng.uniform32(0.6, 0.8), rng.uniform32(0.7, 0.95)];
+        let skin = [skin[0], skin[0] * skin[1], skin[0] * skin[1] * skin[2]];
+        let (radius_m, half_m) = (rng.uniform32(0.006, 0.012), rng.uniform32(0.03, 0.07));
+        let mesh = Arc::new(finger(radius_m, half_m)?);
+        let z_m = (self.centre.z - self.diameter_m * rng.uniform(0.3, 0.7)).max(0.5 * self.centre.z);
+        let offset = rng.uniform(0.25, 0.55);
+        let (at, rotation) = (self.beside(rng, offset, z_m), rng.rotation());
+        let spread = rotation * Vector3::x() * f64::from(radius_m) * 2.2;
+        let material = Material::of_target(rng);
+        for i in 0..2 + rng.below(3) {
+            let bent = rotation * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), rng.uniform(-0.15, 0.15));
+            let camera_from_thing = Pose::from_parts(Translation3::from(at.coords + spread * i as f64), bent);
+            let look = Look { material, pattern: Some((Pattern::soft(rng, skin), 0.05)) };
+            things.push(Thing { mesh: Arc::clone(&mesh), camera_from_thing, look, in_front: true });
+        }
+        Ok(())
+    }
+
+    /// The table, if any, and a wall behind everything.
+    fn ground(&self, rng: &mut impl Rng) -> Result<Vec<Thing>, ImagingError> {
+        let far_m = self.centre.z + self.diameter_m * if self.table_m.is_some() { rng.uniform(3.0, 12.0) } else { rng.uniform(0.8, 6.0) };
+        let tilt = rng.direction().map(f64::from) * 0.4;
+        let mut ground = Vec::with_capacity(2);
+        if let Some(table_m) = self.table_m {
+            let foot = self.centre + self.up * (table_m - self.up.dot(&self.centre.coords));
+            ground.push(self.backdrop(rng, foot, &self.up)?);
+        }
+        let behind = self.centre * (far_m / self.centre.z);
+        ground.push(self.backdrop(rng, behind, &(tilt - Vector3::z()))?);
+        Ok(ground)
+    }
+
+    /// A patterned plane through a point, seen from the side of its normal.
+    fn backdrop(&self, rng: &mut impl Rng, through: Point3<f64>, normal: &Vector3<f64>) -> Result<Thing, ImagingError> {
+        let to_normal = UnitQuaternion::rotation_between(&Vector3::z(), normal)
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        let busy = rng.chance(0.35);
+        let unit_m = (self.diameter_m * rng.log_uniform(0.5, 3.0)) as f32;
+        let look = Look { material: Material::of_target(rng), pattern: Some((Pattern::draw(rng, busy), unit_m)) };
+        let mesh = Arc::new(sheet(60.0 * (self.diameter_m as f32).max(0.1))?);
+        let camera_from_thing = Pose::from_parts(Translation3::from(through.coords), to_normal);
+        Ok(Thing { mesh, camera_from_thing, look, in_front: false })
+    }
+}
+
+impl Thing {
+    fn item(&self) -> Item<'_> {
+        Item { mesh: &self.mesh, camera_from_object: self.camera_from_thing }
+    }
+
+    /// Lowest extent along `up`, metres, camera frame.
+    fn lowest_m(&self, up: &Vector3<f64>) -> f64 {
+        let step = (self.mesh.vertices_m.len() / 500).max(1);
+        let along = |v: &[f32; 3]| up.dot(&(self.camera_from_thing * Point3::from(v.map(f64::from))).coords);
+        self.mesh.vertices_m.iter().step_by(step).map(along).fold(f64::MAX, f64::min)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_survives_the_bytes() {
+        for light in [0.01_f32, 0.1, 0.5, 1.0, 1.9] {
+            let byte = (encode_light(light) * 255.0 + 0.5) as u8;
+            assert!((decode_light(byte) / light - 1.0).abs() < 0.05, "{light}");
+        }
+    }
+}
