@@ -75,6 +75,24 @@ pub enum IntrinsicsError {
 }
 
 impl CameraInfo {
+    /// The camera of a rectified image of `size` (width, height): no distortion, K and P alike. `intrinsics`: fx, fy,
+    /// cx, cy in pixels.
+    #[must_use]
+    pub fn pinhole(header: Header, size: (u32, u32), intrinsics: [f64; 4]) -> Self {
+        let [fx, fy, cx, cy] = intrinsics;
+        Self {
+            header,
+            width: size.0,
+            height: size.1,
+            distortion_model: "plumb_bob".into(),
+            d: vec![0.0; 5],
+            k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+            ..Self::default()
+        }
+    }
+
     /// fx, fy, cx, cy (pixels, pixel centres at integers) of the image that this belongs to: those of `k`, or of
     /// `p` when the image is `rectified`.
     ///
@@ -112,6 +130,14 @@ impl CameraInfo {
 mod tests {
     use super::super::{from_cdr, to_cdr};
     use super::*;
+
+    #[test]
+    fn a_pinhole_gives_its_intrinsics_back() {
+        let info = CameraInfo::pinhole(Header::default(), (640, 480), [600.0, 610.0, 320.0, 240.0]);
+        for rectified in [false, true] {
+            assert_eq!(info.intrinsics(rectified).unwrap(), [600.0, 610.0, 320.0, 240.0]);
+        }
+    }
 
     fn camera() -> CameraInfo {
         CameraInfo {

@@ -1,5 +1,6 @@
 //! What every node stands on: the [`Node`] trait, graphs in YAML, delivery over iceoryx2, the supervisor.
 
+pub mod bag;
 mod board;
 mod clock;
 mod context;

@@ -160,6 +160,20 @@ pub enum BagError {
 }
 
 impl BagError {
+    /// What is wrong, without the advice to recover.
+    pub(crate) fn short(&self) -> String {
+        match self {
+            Self::Truncated { path, at } => format!("{}: cut off at byte {at}", path.display()),
+            Self::Damaged { path, at, cause } => format!("{}: damaged near byte {at}: {cause}", path.display()),
+            other => other.to_string(),
+        }
+    }
+
+    /// Whether the file is MCAP, but not whole.
+    pub(crate) fn is_damage(&self) -> bool {
+        matches!(self, Self::Truncated { .. } | Self::Damaged { .. } | Self::Empty { .. })
+    }
+
     pub(crate) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
         move |source| Self::Io { path: path.to_owned(), source }
     }

@@ -1,6 +1,7 @@
 //! One pass over an MCAP file: checks every checksum and says where each message is, holding one chunk at a time.
 
-use super::BagError;
+use super::file::TopicRecord;
+use super::{BagError, metadata};
 use mcap::McapError;
 use mcap::records::{Channel, MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -30,9 +31,19 @@ pub(super) struct Place {
     pub(super) ordinal: u32,
 }
 
+/// What a pass does about damage inside a chunk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Damage {
+    /// Ends with the error.
+    Refuse,
+    /// Leaves the chunk out, says so in [`FileContent::lost`] and goes on.
+    LeaveOut,
+}
+
 /// A message as the pass meets it.
 pub(super) struct Met<'a> {
     pub(super) channel: &'a Channel,
+    pub(super) schema: Option<&'a SchemaRecord>,
     pub(super) header: MessageHeader,
     pub(super) place: Place,
     pub(super) data: &'a [u8],
@@ -49,27 +60,48 @@ pub(super) struct FileContent {
     pub(super) whole_until: u64,
     /// Whether all chunks had a checksum.
     pub(super) checksums: bool,
+    /// Chunks that were left out, and why.
+    pub(super) lost: Vec<String>,
+}
+
+/// The name of the metadata record that holds our custom data.
+pub(super) const CUSTOM_RECORD: &str = "pseudoflow";
+
+impl FileContent {
+    /// The topics by channel.
+    pub(super) fn topics(&self) -> Vec<TopicRecord> {
+        self.channels.values().map(|c| TopicRecord::of_channel(c, self.schemas.get(&c.schema_id))).collect()
+    }
+
+    /// What we, or rosbag2, kept beside the messages.
+    pub(super) fn custom_data(&self) -> BTreeMap<String, String> {
+        let serialized = self.metadata.get("rosbag2").and_then(|record| record.get("serialized_metadata"));
+        let mut custom = serialized.map(|yaml| metadata::custom_data(yaml)).unwrap_or_default();
+        custom.extend(self.metadata.get(CUSTOM_RECORD).cloned().unwrap_or_default());
+        custom
+    }
 }
 
 /// Reads a file from start to end and shows each message to `visit`. On damage, `content` and `visit` have got what
 /// stands before it: whole chunks only.
 pub(super) fn scan(
     path: &Path,
+    damage: Damage,
     content: &mut FileContent,
     visit: &mut dyn FnMut(Met<'_>) -> Result<(), BagError>,
 ) -> Result<(), BagError> {
     let file = File::open(path).map_err(BagError::io(path))?;
     let length = file.metadata().map_err(BagError::io(path))?.len();
-    let mut file = BufReader::with_capacity(1 << 20, file);
+    let mut file = BufReader::with_capacity((length as usize).clamp(1 << 12, 1 << 20), file);
     check_magic(path, &mut file, length)?;
     content.checksums = true;
-    let mut pass = Pass { path, content, visit, at: mcap::MAGIC.len() as u64, header: false, data_end: false };
+    let mut pass = Pass { path, damage, content, visit, at: mcap::MAGIC.len() as u64, header: false, data_end: false };
     let limit = usize::try_from(length).unwrap_or(usize::MAX).min(MAX_RECORD_BYTES);
     let options = LinearReaderOptions::default()
         .with_emit_chunks(true)
         .with_check_finishes_after_end_magic(true)
-        .with_validate_data_section_crc(true)
-        .with_validate_summary_section_crc(true)
+        .with_validate_data_section_crc(damage == Damage::Refuse)
+        .with_validate_summary_section_crc(damage == Damage::Refuse)
         .with_record_length_limit(limit);
     let mut reader = LinearReader::new_with_options(options);
     // The reader computes the data section's checksum from the first byte on, so it is given the magic, too.
@@ -83,7 +115,7 @@ pub(super) fn scan(
                 reader.notify_read(read);
             }
             Some(Ok(LinearReadEvent::Record { opcode, data })) => pass.record(opcode, data)?,
-            Some(Err(error)) => return Err(pass.damage(&error)),
+            Some(Err(error)) => return Err(pass.failure(&error)),
         }
     }
     match pass.header && pass.data_end {
@@ -106,7 +138,9 @@ fn check_magic(path: &Path, file: &mut impl Read, length: u64) -> Result<(), Bag
         return Err(BagError::Truncated { path: path(), at: 0 });
     }
     let looks_like = match magic.as_slice() {
-        b"SQLite f" => "is a rosbag2 file of the sqlite3 storage: convert it with `ros2 bag convert` to storage_id mcap",
+        b"SQLite f" => {
+            "is a rosbag2 file of the sqlite3 storage: convert it with `ros2 bag convert` to storage_id mcap"
+        }
         b"#ROSBAG " => "is a ROS 1 bag: convert it with `rosbags-convert` to rosbag2 with storage mcap",
         [0x28, 0xb5, 0x2f, 0xfd, ..] => "is compressed as a whole (zstd): unpack it with `zstd -d` first",
         _ => "seems to be no recording: name a rosbag2 directory or an .mcap file",
@@ -116,6 +150,7 @@ fn check_magic(path: &Path, file: &mut impl Read, length: u64) -> Result<(), Bag
 
 struct Pass<'a> {
     path: &'a Path,
+    damage: Damage,
     content: &'a mut FileContent,
     visit: &'a mut dyn FnMut(Met<'_>) -> Result<(), BagError>,
     at: u64,
@@ -128,9 +163,13 @@ impl Pass<'_> {
         BagError::Damaged { path: self.path.to_owned(), at: self.at, cause }
     }
 
-    fn damage(&self, error: &McapError) -> BagError {
+    fn failure(&self, error: &McapError) -> BagError {
         match error {
             McapError::UnexpectedEof => BagError::Truncated { path: self.path.to_owned(), at: self.at },
+            // A record that would fit into a file, but not into this one.
+            McapError::RecordTooLarge { len, .. } if *len <= MAX_RECORD_BYTES as u64 => {
+                BagError::Truncated { path: self.path.to_owned(), at: self.at }
+            }
             other => self.damaged(describe(other)),
         }
     }
@@ -149,7 +188,14 @@ impl Pass<'_> {
 
     fn data_record(&mut self, opcode: u8, data: &[u8]) -> Result<(), BagError> {
         match opcode {
-            op::CHUNK => self.chunk(data),
+            op::CHUNK => match self.chunk_records(data) {
+                Ok(records) => self.chunk(&records),
+                Err(error) if self.damage == Damage::LeaveOut => {
+                    self.content.lost.push(error.short());
+                    Ok(())
+                }
+                Err(error) => Err(error),
+            },
             op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA | op::FOOTER | op::DATA_END => {
                 let record = mcap::parse_record(opcode, data).map_err(|error| self.damaged(describe(&error)))?;
                 self.parsed(record, Place { record_at: self.at, ordinal: 0 })
@@ -158,13 +204,16 @@ impl Pass<'_> {
         }
     }
 
-    fn chunk(&mut self, data: &[u8]) -> Result<(), BagError> {
+    /// The whole chunk is unpacked before any of it counts: recovery must not keep half a frame.
+    fn chunk_records(&mut self, data: &[u8]) -> Result<ChunkRecords, BagError> {
         let Ok(Record::Chunk { header, .. }) = mcap::parse_record(op::CHUNK, data) else {
             return Err(self.damaged("a chunk's header is not valid".into()));
         };
         self.content.checksums &= header.uncompressed_crc != 0 || header.uncompressed_size == 0;
-        // The whole chunk is decoded before any of it counts: recovery must not keep half a frame.
-        let records = decode_chunk(data).map_err(|error| self.damaged(describe(&error)))?;
+        decode_chunk(data).map_err(|error| self.damaged(describe(&error)))
+    }
+
+    fn chunk(&mut self, records: &ChunkRecords) -> Result<(), BagError> {
         let mut ordinal = 0;
         for (opcode, range) in &records.records {
             let body = &records.bytes[range.clone()];
@@ -195,7 +244,8 @@ impl Pass<'_> {
                 let Some(channel) = self.content.channels.get(&header.channel_id) else {
                     return Err(self.damaged(format!("a message of unknown channel {}", header.channel_id)));
                 };
-                (self.visit)(Met { channel, header, place, data: &data })?;
+                let schema = self.content.schemas.get(&channel.schema_id);
+                (self.visit)(Met { channel, schema, header, place, data: &data })?;
             }
             _ => {}
         }

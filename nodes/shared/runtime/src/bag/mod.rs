@@ -1,0 +1,35 @@
+//! Recordings: rosbag2 directories with the mcap storage, as `ros2 bag`, `rosbags`, Foxglove and rerun read them.
+//!
+//! - [`BagWriter`] writes one chunk for each frame, so that a frame is in the file whole or not at all, and takes up
+//!   a bag whose writer died.
+//! - [`BagReader`] checks the whole bag when it is opened (every checksum, holding one chunk at a time) and then
+//!   gives any message of any topic.
+//! - [`recover`] keeps what is whole of a cut-off or damaged bag.
+
+mod error;
+mod file;
+mod metadata;
+mod partial;
+mod reader;
+mod recover;
+mod scan;
+mod writer;
+
+#[cfg(test)]
+mod tests;
+
+pub use error::BagError;
+pub use file::Packing;
+pub use metadata::Qos;
+pub use partial::Partial;
+pub use reader::{BagInfo, BagReader, RawMessage, TopicInfo, TopicNumber, Visited};
+pub use recover::{RecoverOptions, Recovered, recover};
+pub use writer::{BagWriter, Resumed, TopicId};
+
+use std::path::Path;
+
+/// The name that a bag's directory gives its files.
+fn bag_name(directory: &Path) -> Result<String, BagError> {
+    let name = directory.file_name().and_then(|name| name.to_str());
+    name.map(str::to_owned).ok_or_else(|| BagError::Name { path: directory.to_owned() })
+}
