@@ -1,3 +1,4 @@
+use crate::gpu::{AdapterChoice, GpuRasteriser, adapters};
 use pseudoflow_imaging::raster::{RasterError, Rasteriser, SoftwareRasteriser};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,13 +16,23 @@ pub enum Device {
     Cpu,
 }
 
-/// Opens the rasteriser that a configuration asks for.
+/// Opens the rasteriser that a configuration asks for, and logs which one it is. A driver that computes on the CPU
+/// (lavapipe) is no graphics adapter here: the software rasteriser is faster.
 ///
 /// # Errors
-/// `gpu` without an adapter.
+/// `gpu` without an adapter, or with one that refuses to work.
 pub fn open(device: Device) -> Result<Box<dyn Rasteriser>, RasterError> {
-    match device {
-        Device::Auto | Device::Cpu => Ok(Box::new(SoftwareRasteriser::new())),
-        Device::Gpu => Err(RasterError::Device { device: "gpu".into(), what: "no adapter".into() }),
-    }
+    let rasteriser: Box<dyn Rasteriser> = match device {
+        Device::Cpu => Box::new(SoftwareRasteriser::new()),
+        Device::Gpu => Box::new(GpuRasteriser::open(AdapterChoice::Hardware)?),
+        Device::Auto => match GpuRasteriser::open(AdapterChoice::Hardware) {
+            Ok(gpu) => Box::new(gpu),
+            Err(reason) => {
+                log::info!("renderer: device auto found no graphics adapter among {:?} ({reason})", adapters());
+                Box::new(SoftwareRasteriser::new())
+            }
+        },
+    };
+    log::info!("renderer: {} renders", rasteriser.name());
+    Ok(rasteriser)
 }

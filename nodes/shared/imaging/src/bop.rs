@@ -87,29 +87,49 @@ pub fn list_scenes(split: &Path) -> Result<Vec<PathBuf>, ImagingError> {
     Ok(scenes)
 }
 
+/// Reads a file of initial poses (`init_poses.json`, millimetres) by image id.
+///
+/// # Errors
+/// When the file cannot be read, or an entry is no pose.
+pub fn read_initial_poses(path: &Path) -> Result<BTreeMap<u32, Vec<InitialPose>>, ImagingError> {
+    let entries: BTreeMap<u32, Vec<PoseEntry>> = read_json(path)?;
+    entries.into_iter().map(|(id, entries)| Ok((id, initial_poses(path, id, entries)?))).collect()
+}
+
 impl BopScene {
     /// Reads `scene_camera.json` and, if there, `init_poses.json`; images are found but not read.
     ///
     /// # Errors
     /// When a file is missing or damaged, an image is missing, or a camera or pose is not valid.
     pub fn open(folder: &Path) -> Result<Self, ImagingError> {
+        Self::open_where(folder, &|_| true)
+    }
+
+    /// As [`BopScene::open`], with only the images whose id is `wanted`; the others need not be there (archives of a
+    /// target list hold fewer images than their `scene_camera.json` names).
+    ///
+    /// # Errors
+    /// As [`BopScene::open`].
+    pub fn open_where(folder: &Path, wanted: &dyn Fn(u32) -> bool) -> Result<Self, ImagingError> {
         let camera_path = folder.join("scene_camera.json");
         let cameras: BTreeMap<u32, CameraEntry> = read_json(&camera_path)?;
         let poses_path = folder.join("init_poses.json");
-        let mut poses: BTreeMap<u32, Vec<PoseEntry>> =
-            if poses_path.is_file() { read_json(&poses_path)? } else { BTreeMap::new() };
+        let mut poses = if poses_path.is_file() { read_initial_poses(&poses_path)? } else { BTreeMap::new() };
         let mut frames = Vec::with_capacity(cameras.len());
-        for (image_id, camera) in &cameras {
-            let intrinsics = Intrinsics::from_row_major(&camera.camera_matrix).map_err(|source| {
-                ImagingError::Intrinsics { path: camera_path.clone(), field: format!("{image_id}.cam_K"), source }
-            })?;
+        for (image_id, camera) in cameras.iter().filter(|(id, _)| wanted(**id)) {
+            let intrinsics =
+                Intrinsics::from_row_major(&camera.camera_matrix).map_err(|source| ImagingError::Intrinsics {
+                    path: camera_path.clone(),
+                    field: format!("{image_id}.cam_K"),
+                    source: Box::new(source),
+                })?;
             frames.push(BopFrame {
                 image_id: *image_id,
                 image_path: find_image(folder, *image_id)?,
                 depth_path: Some(folder.join(format!("depth/{image_id:06}.png"))).filter(|p| p.is_file()),
                 intrinsics,
                 depth_scale: camera.depth_scale,
-                initial_poses: initial_poses(&poses_path, *image_id, poses.remove(image_id).unwrap_or_default())?,
+                initial_poses: poses.remove(image_id).unwrap_or_default(),
             });
         }
         let scene_id = folder.file_name().and_then(|n| n.to_str()).and_then(|n| n.parse().ok()).unwrap_or(0);

@@ -129,7 +129,7 @@ pub enum ImagingError {
         /// The entry.
         field: String,
         /// The cause.
-        source: IntrinsicsError,
+        source: Box<IntrinsicsError>,
     },
 }
 

@@ -33,6 +33,16 @@ pub fn decode_rgb(bytes: &[u8], name: &str) -> Result<RgbImage, ImagingError> {
     decoded.map(DynamicImage::into_rgb8).map_err(|source| ImagingError::Image { path: name.into(), source })
 }
 
+/// Width and height of a JPEG or PNG, read from its first bytes.
+///
+/// # Errors
+/// [`ImagingError::Image`], with `name` as the path.
+pub fn image_size(bytes: &[u8], name: &str) -> Result<(u32, u32), ImagingError> {
+    let reader = image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format();
+    let size = reader.map_err(image::ImageError::IoError).and_then(image::ImageReader::into_dimensions);
+    size.map_err(|source| ImagingError::Image { path: name.into(), source })
+}
+
 /// Reads a JPEG or PNG file as [`decode_rgb`] does.
 ///
 /// # Errors
@@ -99,6 +109,7 @@ mod tests {
     fn a_png_comes_back_unchanged_and_a_jpeg_nearly() {
         let image = RgbImage::from_fn(16, 9, |x, y| Rgb([(x * 15) as u8, (y * 20) as u8, 90]));
         assert_eq!(decode_rgb(&encode_png(&image).unwrap(), "png").unwrap(), image);
+        assert_eq!(image_size(&encode_png(&image).unwrap(), "png").unwrap(), (16, 9));
         let jpeg = decode_rgb(&encode_jpeg(&image, 95).unwrap(), "jpeg").unwrap();
         let worst = jpeg.as_raw().iter().zip(image.as_raw()).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
         assert!(worst < 40, "{worst}");
