@@ -46,11 +46,10 @@ enum Command {
 fn registry() -> Registry {
     Registry::new()
         .with::<pseudoflow_player::PlayerNode>()
-        .with::<pseudoflow_bridge::CameraSource>()
         .with::<pseudoflow_renderer::RendererNode>()
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_pnp::PnpNode>()
-        .with::<pseudoflow_bridge::BridgeSink>()
+        .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()
         .with::<pseudoflow_recorder::RecorderNode>()
 }

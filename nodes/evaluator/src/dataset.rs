@@ -75,15 +75,8 @@ pub fn load_dataset(dir: &Path, split: &str, targets: Option<&Path>) -> Result<E
     for scene_dir in list_scenes(&split_dir)? {
         reader.read_scene(&scene_dir)?;
     }
-    let Reader { wanted, images, scenes_and_images, .. } = &reader;
-    if let Some((scene_id, image_id)) = wanted.iter().flat_map(BTreeMap::keys).find(|i| !scenes_and_images.contains(i))
-    {
-        return Err(EvalError::UnknownTarget { dir: split_dir, scene_id: *scene_id, image_id: *image_id });
-    }
-    if images.is_empty() {
-        return Err(EvalError::NoTargets { dir: split_dir });
-    }
-    check_objects(images, &objects)?;
+    reader.check()?;
+    check_objects(&reader.images, &objects)?;
     let name =
         |path: &Path| path.file_name().map_or_else(|| "dataset".to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(EvalDataset {
@@ -169,34 +162,45 @@ impl<'a> Reader<'a> {
     }
 
     fn read_scene(&mut self, scene_dir: &Path) -> Result<(), EvalError> {
-        let scene = BopScene::open(scene_dir)?;
+        let scene_id = scene_dir.file_name().and_then(|n| n.to_str()).and_then(|n| n.parse().ok()).unwrap_or(0);
+        let is_wanted = |id: u32| self.wanted.as_ref().is_none_or(|wanted| wanted.contains_key(&(scene_id, id)));
+        let scene = BopScene::open_where(scene_dir, &is_wanted)?;
         let mut truth = SceneTruth::read(scene_dir)?;
+        self.scenes_and_images.extend(truth.images.keys().map(|id| (scene.scene_id, *id)));
         for frame in scene.frames {
-            let id = (scene.scene_id, frame.image_id);
-            self.scenes_and_images.insert(id);
-            let image_targets = match &self.wanted {
-                Some(wanted) => match wanted.get(&id) {
-                    Some(targets) => Some(targets.clone()),
-                    None => continue,
-                },
-                None => None,
-            };
-            let Some(truth) = truth.images.remove(&frame.image_id) else {
-                self.without_truth += 1;
-                continue;
-            };
-            self.unknown_visibility += truth.iter().filter(|t| t.visible_fraction.is_none()).count();
-            let valid = match &image_targets {
-                Some(targets) => most_visible(&truth, targets),
-                None => truth.iter().map(|t| t.visible_fraction.is_none_or(|v| v >= VISIB_GT_MIN)).collect(),
-            };
-            let targets = image_targets.unwrap_or_else(|| counts(&truth, &valid));
-            let found = counts(&truth, &valid);
-            self.too_few += targets.iter().filter(|(id, n)| found.get(id).copied().unwrap_or(0) < **n).count();
-            if valid.contains(&true) {
-                let size_px = size_px(&frame)?;
-                self.images.push(EvalImage { scene_id: scene.scene_id, frame, size_px, truth, valid, targets });
+            self.scenes_and_images.insert((scene.scene_id, frame.image_id));
+            match truth.images.remove(&frame.image_id) {
+                Some(truth) => self.add_image(scene.scene_id, frame, truth)?,
+                None => self.without_truth += 1,
             }
+        }
+        Ok(())
+    }
+
+    fn add_image(&mut self, scene_id: u32, frame: BopFrame, truth: Vec<TruthInstance>) -> Result<(), EvalError> {
+        let wanted = self.wanted.as_ref().and_then(|wanted| wanted.get(&(scene_id, frame.image_id)));
+        self.unknown_visibility += truth.iter().filter(|t| t.visible_fraction.is_none()).count();
+        let valid = match wanted {
+            Some(targets) => most_visible(&truth, targets),
+            None => truth.iter().map(|t| t.visible_fraction.is_none_or(|v| v >= VISIB_GT_MIN)).collect(),
+        };
+        let found = counts(&truth, &valid);
+        let targets = wanted.cloned().unwrap_or_else(|| found.clone());
+        self.too_few += targets.iter().filter(|(id, n)| found.get(id).copied().unwrap_or(0) < **n).count();
+        if valid.contains(&true) {
+            let size_px = size_px(&frame)?;
+            self.images.push(EvalImage { scene_id, frame, size_px, truth, valid, targets });
+        }
+        Ok(())
+    }
+
+    fn check(&self) -> Result<(), EvalError> {
+        let mut targets = self.wanted.iter().flat_map(BTreeMap::keys);
+        if let Some(&(scene_id, image_id)) = targets.find(|id| !self.scenes_and_images.contains(id)) {
+            return Err(EvalError::UnknownTarget { dir: self.dir.to_owned(), scene_id, image_id });
+        }
+        if self.images.is_empty() {
+            return Err(EvalError::NoTargets { dir: self.dir.to_owned() });
         }
         Ok(())
     }

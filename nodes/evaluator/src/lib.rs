@@ -1,1 +1,28 @@
-//! TODO
+//! Scores poses against ground truth and reports what it found.
+//!
+//! - [`load_dataset`] reads a split of a BOP dataset with its truth; [`EvalDataset::initial_estimates`] gives the
+//!   scenes' initial poses, `pseudoflow_metrics::read_results` a result file.
+//! - [`evaluate`] scores sets of estimates by the rules of the BOP Challenge 2019 into a [`Report`]
+//!   (`report.json`, and with [`overlays`] a self-contained page).
+//! - [`compare`] sets two reports against each other, with a paired bootstrap interval.
+//! - [`EvaluatorNode`] collects poses from the graph and scores them at the end.
+
+mod compare;
+mod dataset;
+mod depth;
+mod error;
+mod evaluate;
+mod html;
+mod node;
+mod overlay;
+mod report;
+mod score;
+
+pub use compare::{Comparison, Difference, compare, compare_sets};
+pub use dataset::{EvalDataset, EvalImage, EvalModel, load_dataset};
+pub use error::EvalError;
+pub use evaluate::{NamedEstimates, evaluate};
+pub use node::{EvaluatorConfig, EvaluatorNode};
+pub use overlay::{OverlayCase, overlays};
+pub use report::{InstanceErrors, ObjectInfo, Report, Scores, VsdDepth};
+pub use score::vsd_of_pair;

@@ -1,5 +1,6 @@
 use crate::{EngineConfig, FlowEngine, FlowError, interleave, normalise, open};
 use pseudoflow_msgs::{FlowFields, FlowFieldsHeader, NetworkWeights, ReferenceViews};
+use pseudoflow_network::{ExportOptions, NetworkConfig, Weights, export_onnx};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,6 +12,9 @@ use std::path::{Path, PathBuf};
 pub struct FlowConfig {
     /// The network: a `.onnx` file, or `.safetensors` weights that are exported to ONNX in memory.
     pub model: PathBuf,
+    /// The network that `.safetensors` weights belong to.
+    #[serde(default)]
+    pub network: Network,
     /// Width and height of the crops, pixels; the renderer's `size_px`.
     #[serde(default = "default_size_px")]
     pub size_px: u32,
@@ -25,6 +29,31 @@ pub struct FlowConfig {
     pub engine: EngineConfig,
 }
 
+/// The networks that weights can belong to.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Network {
+    /// RAFT-small, trained at 128 px.
+    #[default]
+    Nano,
+    /// RAFT-small, trained at 256 px.
+    Small,
+    /// RAFT, trained at 256 px: the paper's.
+    Paper,
+}
+
+impl Network {
+    /// Its configuration.
+    #[must_use]
+    pub fn config(self) -> NetworkConfig {
+        match self {
+            Self::Nano => NetworkConfig::nano(),
+            Self::Small => NetworkConfig::small(),
+            Self::Paper => NetworkConfig::paper(),
+        }
+    }
+}
+
 fn default_size_px() -> u32 {
     128
 }
@@ -37,15 +66,17 @@ fn default_batch() -> u32 {
     16
 }
 
-/// The network of a configuration as the bytes of an ONNX file.
+/// A network file as the bytes of an ONNX file: `.onnx` as it is, `.safetensors` exported for crops of `size_px`.
 ///
 /// # Errors
-/// When the file cannot be read or holds no flow network.
-pub fn load_model(path: &Path, size_px: u32, iterations: u32) -> Result<Vec<u8>, FlowError> {
+/// When the file cannot be read or holds no such network.
+pub fn load_model(path: &Path, network: Network, size_px: u32, iterations: u32) -> Result<Vec<u8>, FlowError> {
     let failed = |cause: String| FlowError::Model { path: path.to_owned(), cause };
     if path.extension().is_some_and(|extension| extension == "safetensors") {
-        return pseudoflow_network::export_onnx_file(path, size_px as usize, iterations as usize)
-            .map_err(|error| failed(error.to_string()));
+        let config = network.config();
+        let options = ExportOptions { size_px: size_px as usize, iterations: iterations as usize, batch: None };
+        let weights = Weights::load(path, &config).map_err(|error| failed(error.to_string()))?;
+        return export_onnx(&weights, &config, options).map_err(|error| failed(error.to_string()));
     }
     std::fs::read(path).map_err(|error| failed(error.to_string()))
 }
@@ -133,7 +164,7 @@ impl Node for FlowNode {
     }
 
     fn create(config: FlowConfig, _context: &Context) -> Result<Self, NodeError> {
-        let onnx = load_model(&config.model, config.size_px, config.iterations)?;
+        let onnx = load_model(&config.model, config.network, config.size_px, config.iterations)?;
         let engine = open(&onnx, &config.engine)?;
         log::info!("{} computes flow of {} px with {}", engine.describe(), config.size_px, config.model.display());
         let mut node =

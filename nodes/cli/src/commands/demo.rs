@@ -31,7 +31,6 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
             std::fs::remove_dir_all(&folder).with_context(|| format!("{}: cannot be replaced", folder.display()))?;
         }
     }
-    let _ = std::fs::remove_file(args.out.join("poses.csv"));
     let summary = supervisor::run(&graph, &crate::registry(), &supervisor::Options::new(&args.out.join("run")))?;
     if summary.asked_to_stop {
         return Ok(ExitCode::FAILURE);

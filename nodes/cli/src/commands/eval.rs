@@ -1,7 +1,7 @@
 use super::progress_bar;
 use crate::pipeline::{Frame, Pipeline, PipelineConfig};
 use anyhow::{Context as _, Result, bail};
-use pseudoflow_evaluator::{EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset};
+use pseudoflow_evaluator::{Difference, EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset, overlays};
 use pseudoflow_flow::{Backend, EngineConfig, FlowConfig};
 use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
@@ -34,6 +34,9 @@ pub(crate) struct Args {
     /// Folder for `report.json` and `report.html`.
     #[arg(long)]
     report: Option<PathBuf>,
+    /// The network that the weights belong to: nano, small or paper.
+    #[arg(long, default_value = "nano")]
+    network: String,
     /// Width and height of the crops, pixels.
     #[arg(long, default_value_t = 128)]
     size: u32,
@@ -87,7 +90,7 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     if let Some(folder) = &args.report {
         std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
         report.write_json(&folder.join("report.json"))?;
-        report.write_html(&folder.join("report.html"), &dataset, &sets)?;
+        report.write_html(&folder.join("report.html"), &overlays(&dataset, &sets, &report)?)?;
         println!("report: {}", folder.join("report.html").display());
     }
     Ok(ExitCode::SUCCESS)
@@ -139,6 +142,7 @@ fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result
         renderer: RendererConfig::new(dataset.objects.folder().to_owned(), args.size),
         flow: FlowConfig {
             model: weights.to_owned(),
+            network: super::export::network(&args.network)?,
             size_px: args.size,
             iterations: args.iterations,
             max_batch: 16,
@@ -172,7 +176,7 @@ fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Estimate
             image_id: image.frame.image_id,
             object_id: pose.object_id,
             score: pose.score,
-            camera_from_object: pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m)?,
+            camera_from_object: pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m)?.into(),
             image_time_s,
         })
     };
@@ -180,14 +184,15 @@ fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Estimate
 }
 
 fn given(estimate: &Estimate, instance: u32) -> ObjectPose {
+    let pose = estimate.camera_from_object.pose();
     ObjectPose {
         object_id: estimate.object_id,
         instance,
         status: PoseStatus::Ok as u32,
         source: PoseSource::Given as u32,
         score: estimate.score,
-        rotation_xyzw: quaternion_xyzw(&estimate.camera_from_object),
-        translation_m: estimate.camera_from_object.translation.vector.into(),
+        rotation_xyzw: quaternion_xyzw(&pose),
+        translation_m: pose.translation.vector.into(),
         covariance: [0.0; 36],
     }
 }
@@ -234,7 +239,14 @@ pub(crate) fn compare(args: &CompareArgs) -> Result<ExitCode> {
     let (before, after) = (Report::read_json(&args.before)?, Report::read_json(&args.after)?);
     let comparison = pseudoflow_evaluator::compare(&before, &after)?;
     comparison.write_html(&args.out)?;
-    print!("{comparison}");
+    println!("{:8} {:20} {:>5} {:>7} {:>7} {:>8}  95 % interval", "object", "share", "n", "before", "after", "change");
+    let rows = comparison.per_object.iter().map(|(id, of)| (id.to_string(), of)).chain([("all".to_owned(), &comparison.overall)]);
+    for (object, differences) in rows {
+        for (share, d) in differences {
+            let Difference { n, a, b, difference, low, high } = d;
+            println!("{object:8} {share:20} {n:>5} {a:>7.3} {b:>7.3} {difference:>+8.3}  {low:+.3} .. {high:+.3}");
+        }
+    }
     println!("page: {}", args.out.display());
     Ok(ExitCode::SUCCESS)
 }

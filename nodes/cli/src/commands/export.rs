@@ -1,4 +1,5 @@
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, anyhow};
+use pseudoflow_flow::Network;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -10,6 +11,9 @@ pub(crate) struct Args {
     /// The `.onnx` file to write.
     #[arg(long)]
     out: PathBuf,
+    /// The network that they belong to: nano, small or paper.
+    #[arg(long, default_value = "nano")]
+    network: String,
     /// Width and height of the crops that the network will see, pixels.
     #[arg(long, default_value_t = 128)]
     size: u32,
@@ -19,10 +23,16 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
-    let onnx = pseudoflow_flow::load_model(&args.weights, args.size, args.iterations)?;
+    let network = network(&args.network)?;
+    let onnx = pseudoflow_flow::load_model(&args.weights, network, args.size, args.iterations)?;
     write_whole(&args.out, &onnx)?;
     println!("{}: {} bytes, {} px, {} iterations", args.out.display(), onnx.len(), args.size, args.iterations);
     Ok(ExitCode::SUCCESS)
+}
+
+/// The network of a name.
+pub(crate) fn network(name: &str) -> Result<Network> {
+    serde_yaml::from_str(name).map_err(|_| anyhow!("`--network {name}`: write nano, small or paper"))
 }
 
 /// Writes beside and renames: the file is there whole or not at all.

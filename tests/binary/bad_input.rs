@@ -1,0 +1,106 @@
+//! What people get wrong: each is one clear error that names file, field and remedy, with a non-zero exit and nothing
+//! left behind.
+
+mod common;
+
+use common::run;
+use std::path::Path;
+
+/// Runs and returns what was said; fails when the run succeeds.
+fn refused(args: &[&str]) -> String {
+    let output = run(args);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success(), "{args:?} should fail");
+    assert!(!said.contains("panicked"), "{said}");
+    said
+}
+
+fn assert_says(said: &str, words: &[&str]) {
+    for word in words {
+        assert!(said.contains(word), "`{word}` is missing in: {said}");
+    }
+}
+
+fn demo_bag() -> std::path::PathBuf {
+    let bag = common::root().join("bags/tabletop_demo");
+    std::fs::read_dir(&bag).expect("the demo bag").flatten().map(|e| e.path()).find(|p| p.extension().is_some_and(|e| e == "mcap")).expect("its file")
+}
+
+fn check_with(setting: &str) -> String {
+    refused(&["check", "config/graphs/demo.yaml", "--set", setting])
+}
+
+fn play(bag: &Path) -> String {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("run");
+    let source = format!("player.source={}", bag.display());
+    let mut args = vec!["run", "config/graphs/demo.yaml", "--set", &source, "--out", out.to_str().expect("utf-8")];
+    let settings = common::into(folder.path());
+    args.extend(settings.iter().map(String::as_str));
+    refused(&args)
+}
+
+#[test]
+fn unknown_keys_and_files_that_are_not_there() {
+    assert_says(&check_with("renderer.sise_px=128"), &["renderer", "sise_px"]);
+    assert_says(&check_with("flow.model=nowhere.safetensors"), &["flow", "nowhere.safetensors"]);
+    assert_says(&check_with("player.source=nowhere"), &["player", "nowhere"]);
+    assert_says(&check_with("renderer.objects=bags"), &["renderer", "models_info.json"]);
+    assert_says(&check_with("flow.size_px=100"), &["flow", "size_px", "multiple of 8"]);
+}
+
+#[test]
+fn damaged_empty_and_foreign_bags() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let whole = std::fs::read(demo_bag()).expect("the demo bag");
+    let mut flipped = whole.clone();
+    let middle = flipped.len() / 2;
+    flipped[middle] ^= 0x10;
+    for (name, bytes) in [
+        ("truncated.mcap", &whole[..whole.len() / 2]),
+        ("flipped.mcap", &flipped[..]),
+        ("empty.mcap", &[][..]),
+        ("foreign.mcap", &b"this is no recording, but a text of some length"[..]),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).expect("it can be written");
+        assert_says(&refused(&["bag", "info", path.to_str().expect("utf-8")]), &[name]);
+        assert_says(&play(&path), &[name]);
+    }
+}
+
+#[test]
+fn a_truncated_bag_can_be_recovered() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let whole = std::fs::read(demo_bag()).expect("the demo bag");
+    let (cut, out) = (folder.path().join("cut.mcap"), folder.path().join("kept"));
+    std::fs::write(&cut, &whole[..whole.len() * 2 / 3]).expect("it can be written");
+    let output = run(&["bag", "recover", cut.to_str().expect("utf-8"), "--out", out.to_str().expect("utf-8")]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(run(&["bag", "info", out.to_str().expect("utf-8")]).status.success());
+}
+
+#[test]
+fn weights_of_another_network() {
+    let said = refused(&["export", "--weights", "config/weights/raft_small.safetensors", "--network", "paper", "--out", "/dev/null"]);
+    assert_says(&said, &["raft_small.safetensors", "paper"]);
+}
+
+#[test]
+fn a_mesh_in_the_wrong_unit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let models = common::root().join("config/objects/tabletop");
+    for entry in std::fs::read_dir(models).expect("objects").flatten() {
+        std::fs::copy(entry.path(), folder.path().join(entry.file_name())).expect("it can be copied");
+    }
+    let info = folder.path().join("models_info.json");
+    let text = std::fs::read_to_string(&info).expect("text").replace("\"diameter\": 269.50", "\"diameter\": 0.26950");
+    std::fs::write(&info, text).expect("it can be written");
+    let out = tempfile::tempdir().expect("a folder");
+    let run_dir = out.path().join("run");
+    let objects = format!("renderer.objects={}", folder.path().display());
+    let mut args = vec!["run", "config/graphs/demo.yaml", "--set", &objects, "--out", run_dir.to_str().expect("utf-8")];
+    let settings = common::into(out.path());
+    args.extend(settings.iter().map(String::as_str));
+    assert_says(&refused(&args), &["models_info.json", "diameter"]);
+}
