@@ -1,0 +1,177 @@
+use crate::gate::{Gate, GateConfig, GateView};
+use crate::{FlowField, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
+use pseudoflow_geometry::{Intrinsics, pose_from_quaternion, quaternion_xyzw};
+use pseudoflow_msgs::{FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use rand::Rng;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the pnp node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PnpNodeConfig {
+    /// The solver. Pixel thresholds are those of a crop of 256 px and scale with the crop.
+    pub solver: PnpConfig,
+    /// When a refined pose replaces the initial one; `null` accepts every solution.
+    pub gate: Option<GateConfig>,
+}
+
+impl Default for PnpNodeConfig {
+    fn default() -> Self {
+        Self { solver: PnpConfig::default(), gate: Some(GateConfig::default()) }
+    }
+}
+
+/// Views and flow in, refined poses out.
+pub struct PnpNode {
+    config: PnpNodeConfig,
+    solver: Option<(usize, Solver)>,
+    buffer: PixelBuffer,
+    gate: Gate,
+}
+
+/// The planes of one view.
+struct ViewPlanes<'a> {
+    view: &'a ReferenceView,
+    field: FlowField<'a>,
+    reference_rgb: &'a [u8],
+    real_rgb: &'a [u8],
+}
+
+impl PnpNode {
+    /// The solver for crops of a size; made anew only when the size changes.
+    fn solver(&mut self, size_px: usize) -> Result<&mut Solver, NodeError> {
+        if self.solver.as_ref().is_none_or(|(size, _)| *size != size_px) {
+            self.solver = Some((size_px, Solver::new(self.config.solver.clone().scaled_to(size_px))?));
+        }
+        Ok(&mut self.solver.as_mut().ok_or("no solver")?.1)
+    }
+
+    fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<ObjectPose, NodeError> {
+        let mut buffer = std::mem::take(&mut self.buffer);
+        let correspondences = buffer.fill(&planes.field)?;
+        let camera = planes.field.intrinsics;
+        let initial = planes.field.camera_from_object;
+        let found = self.solver(planes.field.size_px)?.solve(&correspondences, &camera, &initial, seed);
+        self.buffer = buffer;
+        let status = match (&self.config.gate, found.status) {
+            (Some(config), PnpStatus::Ok) if !accepted(planes, &found, config, &mut self.gate)? => PoseStatus::Rejected,
+            (_, status) => message_status(status),
+        };
+        Ok(refined_pose(&planes.view.pose, &found, status))
+    }
+}
+
+fn accepted(
+    planes: &ViewPlanes<'_>,
+    found: &PnpResult,
+    config: &GateConfig,
+    gate: &mut Gate,
+) -> Result<bool, NodeError> {
+    let view = GateView {
+        size_px: planes.field.size_px,
+        reference_rgb: planes.reference_rgb,
+        reference_depth_m: planes.field.depth_m,
+        crop_rgb: planes.real_rgb,
+        intrinsics: planes.field.intrinsics,
+        initial: planes.field.camera_from_object,
+    };
+    let evidence = gate.evidence(&view, &found.camera_from_object, config.blocks_across)?;
+    let decision = config.decide(found, &evidence, planes.field.size_px);
+    log::debug!("object {}: gate {}; {evidence:?}", planes.view.pose.object_id, decision.reason);
+    Ok(decision.accept)
+}
+
+fn message_status(status: PnpStatus) -> PoseStatus {
+    match status {
+        PnpStatus::Ok => PoseStatus::Ok,
+        PnpStatus::TooFewPoints { .. } => PoseStatus::TooFewPoints,
+        PnpStatus::TooFewInliers { .. } => PoseStatus::TooFewInliers,
+        PnpStatus::NotFinite => PoseStatus::NotFinite,
+        PnpStatus::Degenerate { .. } => PoseStatus::Degenerate,
+        PnpStatus::BehindCamera { .. } => PoseStatus::BehindCamera,
+    }
+}
+
+/// The pose of the message: the solution where it stands, else what it began from.
+fn refined_pose(initial: &ObjectPose, found: &PnpResult, status: PoseStatus) -> ObjectPose {
+    let score = found.inlier_ratio;
+    if status != PoseStatus::Ok {
+        return ObjectPose { status: status as u32, score, ..*initial };
+    }
+    ObjectPose {
+        status: status as u32,
+        source: PoseSource::Refined as u32,
+        score,
+        rotation_xyzw: quaternion_xyzw(&found.camera_from_object),
+        translation_m: found.camera_from_object.translation.vector.into(),
+        covariance: found.covariance,
+        ..*initial
+    }
+}
+
+/// View 0 of each instance: the one at the initial pose.
+fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize) -> Result<ViewPlanes<'a>, NodeError> {
+    let at = instance * views.header.views_per_instance as usize;
+    let (size_px, view) = (views.header.size_px as usize, &views.views[at]);
+    let area = size_px * size_px;
+    let [fx, fy, cx, cy] = view.crop_intrinsics;
+    let field = FlowField {
+        size_px,
+        depth_m: &views.depth_m[at * area..(at + 1) * area],
+        mask: &views.mask[at * area..(at + 1) * area],
+        flow_px: &flow.flow_px[at * 2 * area..(at + 1) * 2 * area],
+        intrinsics: Intrinsics { fx, fy, cx, cy },
+        camera_from_object: pose_from_quaternion(&view.pose.rotation_xyzw, &view.pose.translation_m)?,
+    };
+    let reference_rgb = &views.rgb[at * 3 * area..(at + 1) * 3 * area];
+    let real_rgb = &views.real_rgb[instance * 3 * area..(instance + 1) * 3 * area];
+    Ok(ViewPlanes { view, field, reference_rgb, real_rgb })
+}
+
+impl Node for PnpNode {
+    const KIND: &'static str = "pnp";
+    const ROLE: Role = Role::Transform;
+    type Config = PnpNodeConfig;
+
+    fn inputs() -> Vec<PortSpec> {
+        vec![PortSpec::required::<ReferenceViews<'static>>("views"), PortSpec::required::<FlowFields<'static>>("flow")]
+    }
+
+    fn outputs() -> Vec<PortSpec> {
+        vec![PortSpec::required::<ObjectPoses<'static>>("poses")]
+    }
+
+    fn check(config: &PnpNodeConfig) -> Result<(), NodeError> {
+        config.solver.validate()?;
+        if let Some(gate) = &config.gate {
+            gate.validate()?;
+        }
+        Ok(())
+    }
+
+    fn create(config: PnpNodeConfig, _: &Context) -> Result<Self, NodeError> {
+        Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new() })
+    }
+
+    fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
+        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
+        let flow = read::<FlowFields<'static>>(inputs, "flow")?;
+        if flow.header.fields as usize != views.views.len() || flow.header.size_px != views.header.size_px {
+            return Err(
+                "views and flow do not belong together: connect `flow` to the node that took the same `views`".into()
+            );
+        }
+        let mut rng = context.rng(inputs.key().index, "ransac");
+        let mut poses = views.skipped.to_vec();
+        for instance in 0..views.header.instances as usize {
+            poses.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
+        }
+        poses.sort_by_key(|pose| (pose.object_id, pose.instance));
+        let (scene_id, image_id) = (views.header.scene_id, views.header.image_id);
+        outputs.send("poses", inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+            ObjectPoses::write(bytes, scene_id, image_id, &poses);
+        })
+    }
+}
