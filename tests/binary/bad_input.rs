@@ -23,7 +23,12 @@ fn assert_says(said: &str, words: &[&str]) {
 
 fn demo_bag() -> std::path::PathBuf {
     let bag = common::root().join("bags/tabletop_demo");
-    std::fs::read_dir(&bag).expect("the demo bag").flatten().map(|e| e.path()).find(|p| p.extension().is_some_and(|e| e == "mcap")).expect("its file")
+    std::fs::read_dir(&bag)
+        .expect("the demo bag")
+        .flatten()
+        .map(|e| e.path())
+        .find(|p| p.extension().is_some_and(|e| e == "mcap"))
+        .expect("its file")
 }
 
 fn check_with(setting: &str) -> String {
@@ -82,7 +87,15 @@ fn a_truncated_bag_can_be_recovered() {
 
 #[test]
 fn weights_of_another_network() {
-    let said = refused(&["export", "--weights", "config/weights/raft_small.safetensors", "--network", "paper", "--out", "/dev/null"]);
+    let said = refused(&[
+        "export",
+        "--weights",
+        "config/weights/raft_small.safetensors",
+        "--network",
+        "paper",
+        "--out",
+        "/dev/null",
+    ]);
     assert_says(&said, &["raft_small.safetensors", "paper"]);
 }
 

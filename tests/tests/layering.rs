@@ -65,11 +65,9 @@ fn nodes_do_not_know_each_other() {
 
 #[test]
 fn middleware_has_its_two_places() {
-    for (package, place) in [
-        ("iceoryx2", "pseudoflow-runtime"),
-        ("mcap", "pseudoflow-runtime"),
-        ("ros2-client", "pseudoflow-bridge"),
-    ] {
+    for (package, place) in
+        [("iceoryx2", "pseudoflow-runtime"), ("mcap", "pseudoflow-runtime"), ("ros2-client", "pseudoflow-bridge")]
+    {
         assert_eq!(users_of(package), BTreeSet::from([place.to_owned()]), "{package} belongs to {place} alone");
     }
 }

@@ -39,11 +39,7 @@ bag_message!(
     "../../msg/PoseStamped.msg",
     "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"
 );
-bag_message!(
-    TFMessage,
-    "../../msg/TFMessage.msg",
-    "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
-);
+bag_message!(TFMessage, "../../msg/TFMessage.msg", "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087");
 bag_message!(
     Detection3DArray,
     "../../msg/Detection3DArray.msg",
@@ -58,8 +54,10 @@ mod tests {
     fn complete<M: BagMessage>() {
         let separator = "=".repeat(80);
         let sections: Vec<&str> = M::DEFINITION.split(&separator).collect();
-        let defined: Vec<&str> =
-            sections[1..].iter().map(|s| s.trim_start().lines().next().unwrap().strip_prefix("MSG: ").unwrap()).collect();
+        let defined: Vec<&str> = sections[1..]
+            .iter()
+            .map(|s| s.trim_start().lines().next().unwrap().strip_prefix("MSG: ").unwrap())
+            .collect();
         for line in M::DEFINITION.lines().filter(|l| !l.starts_with(['=', 'M'])) {
             let type_name = line.split(['[', ' ']).next().unwrap();
             assert!(!type_name.contains('/') || defined.contains(&type_name), "{}: {line}", M::type_name());

@@ -3,9 +3,7 @@
 
 use anyhow::{Context as _, Result, anyhow};
 use pseudoflow_flow::{FlowConfig, FlowNode};
-use pseudoflow_msgs::{
-    AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, Message, ObjectPose, ObjectPoses,
-};
+use pseudoflow_msgs::{AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, Message, ObjectPose, ObjectPoses};
 use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
@@ -79,7 +77,12 @@ impl Pipeline {
         Ok(refined)
     }
 
-    fn pass(&mut self, frame: &Frame<'_>, initial: &[ObjectPose], stages: &mut [Duration; 3]) -> Result<Vec<ObjectPose>> {
+    fn pass(
+        &mut self,
+        frame: &Frame<'_>,
+        initial: &[ObjectPose],
+        stages: &mut [Duration; 3],
+    ) -> Result<Vec<ObjectPose>> {
         let mut messages = InMemory::new(FrameKey { index: frame.index, stamp_ns: 0 });
         messages.messages.push(("frame".into(), frame_message(frame)));
         messages.messages.push(("initial_poses".into(), poses_message(frame, initial)));

@@ -145,10 +145,7 @@ fn read_frames(path: &Path) -> Result<Vec<FrameLine>, EvalError> {
     Ok(frames.into_values().collect())
 }
 
-fn dataset(
-    config: &EvaluatorConfig,
-    frames: &[FrameLine],
-) -> Result<(EvalDataset, Vec<NamedEstimates>), NodeError> {
+fn dataset(config: &EvaluatorConfig, frames: &[FrameLine]) -> Result<(EvalDataset, Vec<NamedEstimates>), NodeError> {
     let objects = ObjectSet::load(&config.objects)?;
     let truth = SceneTruth::read(&config.truth)?;
     let images: Vec<EvalImage> =
@@ -170,7 +167,8 @@ fn dataset(
         images: frames.iter().map(|f| (f.scene_id, f.image_id)).collect(),
     };
     let notes = vec![format!("{} of {} frames have ground truth.", images.len(), frames.len())];
-    let dataset = EvalDataset { name: name(&config.truth), split: "recording".into(), objects, models, images, known, notes };
+    let dataset =
+        EvalDataset { name: name(&config.truth), split: "recording".into(), objects, models, images, known, notes };
     Ok((dataset, sets))
 }
 

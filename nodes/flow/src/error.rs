@@ -46,7 +46,9 @@ pub enum FlowError {
         cause: String,
     },
     /// Sizes of views and network differ.
-    #[error("the views are {views_px} px wide, the flow network is set to {network_px}: give renderer and flow the same `size_px`")]
+    #[error(
+        "the views are {views_px} px wide, the flow network is set to {network_px}: give renderer and flow the same `size_px`"
+    )]
     Size {
         /// Of the renderer's message.
         views_px: usize,

@@ -139,7 +139,10 @@ impl Node for FlowNode {
     type Config = FlowConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<ReferenceViews<'static>>("views"), PortSpec::latest::<NetworkWeights<'static>>("weights")]
+        vec![
+            PortSpec::required::<ReferenceViews<'static>>("views"),
+            PortSpec::latest::<NetworkWeights<'static>>("weights"),
+        ]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -167,8 +170,7 @@ impl Node for FlowNode {
         let onnx = load_model(&config.model, config.network, config.size_px, config.iterations)?;
         let engine = open(&onnx, &config.engine)?;
         log::info!("{} computes flow of {} px with {}", engine.describe(), config.size_px, config.model.display());
-        let mut node =
-            Self { config, engine, weights_version: 0, reference: vec![], real: vec![], planes: vec![] };
+        let mut node = Self { config, engine, weights_version: 0, reference: vec![], real: vec![], planes: vec![] };
         node.warm_up()?;
         Ok(node)
     }

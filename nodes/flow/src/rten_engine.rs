@@ -46,8 +46,7 @@ impl FlowEngine for Rten {
             (self.real, NdTensorView::from_data(shape, real).into()),
         ];
         let options = RunOptions::default().with_thread_pool(self.pool.clone());
-        let [flow] =
-            self.model.run_n(inputs, [self.flow], Some(options)).map_err(|error| failed(error.to_string()))?;
+        let [flow] = self.model.run_n(inputs, [self.flow], Some(options)).map_err(|error| failed(error.to_string()))?;
         let flow: rten_tensor::NdTensor<f32, 4> =
             flow.try_into().map_err(|_| failed("`flow` is not a 4-dimensional f32 tensor".into()))?;
         flow_px.copy_from_slice(&flow.to_vec());

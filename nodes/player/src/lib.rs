@@ -1,1 +1,19 @@
-//! TODO
+//! The player node: recordings to camera frames and initial poses; and recordings from BOP scenes ([`from_bop`]).
+//!
+//! Two kinds of recordings: rosbag2 mcap ([`BagSource`]) and BOP scene folders ([`BopSource`]). Both give any frame by
+//! its number, as often as asked, so that a frame can be repeated after a consumer's death.
+
+mod bag_pass;
+mod bag_source;
+mod bop_source;
+mod error;
+mod from_bop;
+mod node;
+mod source;
+
+pub use bag_source::{BagOptions, BagSource};
+pub use bop_source::BopSource;
+pub use error::PlayerError;
+pub use from_bop::{FromBop, from_bop};
+pub use node::{InitialPoses, PlayerConfig, PlayerNode};
+pub use source::{FrameSource, LoadedFrame};

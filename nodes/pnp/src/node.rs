@@ -50,7 +50,7 @@ impl PnpNode {
 
     fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<ObjectPose, NodeError> {
         let mut buffer = std::mem::take(&mut self.buffer);
-        let correspondences = buffer.fill(&planes.field)?;
+        let correspondences = buffer.fill(&planes.field, usize::MAX)?;
         let camera = planes.field.intrinsics;
         let initial = planes.field.camera_from_object;
         let found = self.solver(planes.field.size_px)?.solve(&correspondences, &camera, &initial, seed);

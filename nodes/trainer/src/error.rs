@@ -19,7 +19,9 @@ pub enum TrainerError {
         folder: PathBuf,
     },
     /// No draw of a sample showed enough of its object.
-    #[error("sample {index} of seed {seed}: the object is hardly visible in every try; widen `synth.projected_px` or check that models_info.json and the meshes agree")]
+    #[error(
+        "sample {index} of seed {seed}: the object is hardly visible in every try; widen `synth.projected_px` or check that models_info.json and the meshes agree"
+    )]
     Invisible {
         /// The data's seed.
         seed: u64,
@@ -41,7 +43,9 @@ pub enum TrainerError {
         path: PathBuf,
     },
     /// The checkpoint belongs to a run with another configuration.
-    #[error("{path}: the checkpoint's run has `{there}`, this one `{here}`; resume with the same configuration or start a new run")]
+    #[error(
+        "{path}: the checkpoint's run has `{there}`, this one `{here}`; resume with the same configuration or start a new run"
+    )]
     OtherRun {
         /// The configuration kept beside the checkpoint.
         path: PathBuf,

@@ -38,8 +38,7 @@ pub(crate) enum Command {
 pub(crate) fn run(command: &Command) -> Result<ExitCode> {
     match command {
         Command::FromBop { scene, out, every, max_frames } => {
-            let options =
-                FromBop { scene: scene.clone(), out: out.clone(), every: *every, max_frames: *max_frames };
+            let options = FromBop { scene: scene.clone(), out: out.clone(), every: *every, max_frames: *max_frames };
             println!("{}: {} frames", out.display(), from_bop(&options)?);
         }
         Command::Info { bag } => print!("{}", BagReader::open(bag)?.info()?),

@@ -1,7 +1,9 @@
 use super::progress_bar;
 use crate::pipeline::{Frame, Pipeline, PipelineConfig};
 use anyhow::{Context as _, Result, bail};
-use pseudoflow_evaluator::{Difference, EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset, overlays};
+use pseudoflow_evaluator::{
+    Difference, EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset, overlays,
+};
 use pseudoflow_flow::{Backend, EngineConfig, FlowConfig};
 use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
@@ -220,7 +222,11 @@ pub(crate) fn table(report: &Report) -> String {
         let name = report.objects.get(id).map_or_else(|| id.to_string(), |object| format!("{id} {}", object.name));
         report.sets.iter().filter_map(|set| sets.get(set).map(|s| (set, s))).for_each(|(set, s)| row(&name, set, s));
     }
-    report.sets.iter().filter_map(|set| report.overall.get(set).map(|s| (set, s))).for_each(|(set, s)| row("all", set, s));
+    report
+        .sets
+        .iter()
+        .filter_map(|set| report.overall.get(set).map(|s| (set, s)))
+        .for_each(|(set, s)| row("all", set, s));
     text += &made_wrong(report);
     text
 }
@@ -240,7 +246,11 @@ pub(crate) fn compare(args: &CompareArgs) -> Result<ExitCode> {
     let comparison = pseudoflow_evaluator::compare(&before, &after)?;
     comparison.write_html(&args.out)?;
     println!("{:8} {:20} {:>5} {:>7} {:>7} {:>8}  95 % interval", "object", "share", "n", "before", "after", "change");
-    let rows = comparison.per_object.iter().map(|(id, of)| (id.to_string(), of)).chain([("all".to_owned(), &comparison.overall)]);
+    let rows = comparison
+        .per_object
+        .iter()
+        .map(|(id, of)| (id.to_string(), of))
+        .chain([("all".to_owned(), &comparison.overall)]);
     for (object, differences) in rows {
         for (share, d) in differences {
             let Difference { n, a, b, difference, low, high } = d;

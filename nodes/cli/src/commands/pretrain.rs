@@ -67,7 +67,13 @@ pub(crate) fn run(mut args: Args) -> Result<ExitCode> {
     let summary = pretrain(&config, &mut TerminalProgress::new()?)?;
     println!(
         "{} of {} steps in {:.0} s ({:.1} pairs/s trained, {:.1} pairs/s made by a thread): loss {:.3} px, EPE {:.3} px",
-        summary.step, config.steps, summary.seconds, summary.trained_per_s, summary.made_per_s, summary.loss_px, summary.epe_px
+        summary.step,
+        config.steps,
+        summary.seconds,
+        summary.trained_per_s,
+        summary.made_per_s,
+        summary.loss_px,
+        summary.epe_px
     );
     println!("{}   plot: {}", summary.written.display(), summary.plot.display());
     Ok(if summary.finished { ExitCode::SUCCESS } else { ExitCode::FAILURE })

@@ -27,8 +27,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let dir = Path::new(&dir);
     let points: Vec<_> = read(&dir.join("points.bin"))?.chunks_exact(3).map(nalgebra::Point3::from_slice).collect();
     let pairs = read(&dir.join("pairs.bin"))?;
-    let pairs =
-        pairs.chunks_exact(24).map(|n| Ok((pose(n)?.into(), pose(&n[12..])?.into()))).collect::<Result<Vec<_>, Box<dyn Error>>>()?;
+    let pairs = pairs
+        .chunks_exact(24)
+        .map(|n| Ok((pose(n)?.into(), pose(&n[12..])?.into())))
+        .collect::<Result<Vec<_>, Box<dyn Error>>>()?;
     let symmetries = read(&dir.join("symmetries.bin"))?;
     let symmetries = symmetries.chunks_exact(12).map(pose).collect::<Result<Vec<_>, _>>()?;
     let k = read(&dir.join("k.bin"))?;

@@ -1,5 +1,5 @@
-use crate::points::{Block, LANES};
 use crate::MatrixPose;
+use crate::points::{Block, LANES};
 use nalgebra::{Matrix3, Vector3};
 
 /// `A p + b` in single precision, A row-major.

@@ -4,7 +4,7 @@
 use crate::MatrixPose;
 use crate::affine::Affine;
 use crate::points::{Block, Bounds, LANES, ModelPoints};
-use crate::simd::with_avx2;
+use crate::simd::with_wide_vectors;
 use pseudoflow_geometry::{Intrinsics, Pose};
 
 /// ADD: mean distance of corresponding points, metres. Hinterstoisser et al., ACCV 2012, eq. 1 (there `m`);
@@ -43,7 +43,13 @@ pub fn mssd_m(points: &ModelPoints, est: &MatrixPose, gt: &MatrixPose, symmetrie
 /// image. Hodan et al., ECCVW 2020, eq. 4; bop_toolkit `pose_error.mspd`. Its thresholds are for images 640 wide:
 /// multiply with [`mspd_scale`]. A point in the camera plane makes it infinite.
 #[must_use]
-pub fn mspd_px(points: &ModelPoints, est: &MatrixPose, gt: &MatrixPose, intrinsics: &Intrinsics, symmetries: &[Pose]) -> f64 {
+pub fn mspd_px(
+    points: &ModelPoints,
+    est: &MatrixPose,
+    gt: &MatrixPose,
+    intrinsics: &Intrinsics,
+    symmetries: &[Pose],
+) -> f64 {
     let mut best = f32::INFINITY;
     for symmetry in symmetries {
         let gt = gt.after(symmetry);
@@ -140,13 +146,13 @@ fn max_over_points(points: &ModelPoints, limit: f32, value: impl Fn(&Block) -> [
     lanes.into_iter().fold(0.0, f32::max)
 }
 
-with_avx2! {
+with_wide_vectors! {
     fn sum_of_norms(points: &ModelPoints, difference: &Affine) -> f64 {
         sum_over_points(points, |_, block| norms_squared(&difference.apply(block)).map(f32::sqrt))
     }
 }
 
-with_avx2! {
+with_wide_vectors! {
     /// The largest squared length, or `limit` where it is not less.
     fn max_norm_squared(points: &ModelPoints, difference: &Affine, limit: f32) -> f32 {
         max_over_points(points, limit, |block| norms_squared(&difference.apply(block))).min(limit)
@@ -187,19 +193,19 @@ impl Projected {
     }
 }
 
-with_avx2! {
+with_wide_vectors! {
     fn max_projected_squared(points: &ModelPoints, projected: &Projected, limit: f32) -> f32 {
         max_over_points(points, limit, |block| projected.squared(block)).min(limit)
     }
 }
 
-with_avx2! {
+with_wide_vectors! {
     fn sum_projected(points: &ModelPoints, projected: &Projected) -> f64 {
         sum_over_points(points, |_, block| projected.squared(block).map(f32::sqrt))
     }
 }
 
-with_avx2! {
+with_wide_vectors! {
     /// Sum over the points of the distance from the moved point to the nearest of `targets`.
     fn sum_of_nearest(points: &ModelPoints, targets: &ModelPoints, est_from_gt: &Affine) -> f64 {
         sum_over_points(points, |k, block| nearest_squared(targets, k, &est_from_gt.apply(block)).map(f32::sqrt))

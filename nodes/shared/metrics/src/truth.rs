@@ -175,9 +175,7 @@ mod tests {
     fn millimetres_become_metres() {
         let truth = scene(GT, Some(r#"{"7": [{"visib_fract": 0.25}]}"#)).unwrap();
         let instance = &truth.images[&7][0];
-        assert!(
-            (instance.camera_from_object.translation_m() - nalgebra::Vector3::new(0.01, 0.02, 0.9)).norm() < 1e-12
-        );
+        assert!((instance.camera_from_object.translation_m() - nalgebra::Vector3::new(0.01, 0.02, 0.9)).norm() < 1e-12);
         assert_eq!((instance.object_id, instance.visible_fraction), (5, Some(0.25)));
     }
 

@@ -47,7 +47,13 @@ impl NetworkConfig {
         Self::preset("nano", Architecture::Small, 128, 6, 12)
     }
 
-    fn preset(name: &str, arch: Architecture, size_px: usize, iterations_train: usize, iterations_infer: usize) -> Self {
+    fn preset(
+        name: &str,
+        arch: Architecture,
+        size_px: usize,
+        iterations_train: usize,
+        iterations_infer: usize,
+    ) -> Self {
         Self { name: name.into(), arch, size_px, iterations_train, iterations_infer }
     }
 
@@ -84,7 +90,8 @@ impl NetworkConfig {
     /// Fingerprint (FNV-1a, 64 bit, hex) of what decides the weights' meaning; written into weight files.
     pub fn hash(&self) -> String {
         let text = format!("{:?} {} {}", self.arch, self.size_px, self.iterations_train);
-        let hash = text.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
+        let hash =
+            text.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
         format!("{hash:016x}")
     }
 }

@@ -50,7 +50,8 @@ impl FlowBatch<'_> {
             let needed = self.n * channels * area;
             if self.n == 0 || data.len() != needed {
                 let (n, found) = (self.n, data.len());
-                let text = format!("`{name}` has {found} values; {n} images of {size_px} px need {needed}, at least one");
+                let text =
+                    format!("`{name}` has {found} values; {n} images of {size_px} px need {needed}, at least one");
                 return Err(NetworkError::Batch(text));
             }
             if name != "flow" && data.iter().any(|v| !v.is_finite()) {

@@ -28,12 +28,7 @@ pub struct TrainConfig {
 impl TrainConfig {
     /// The paper's constants for a run of `total_steps` with peak rate `max_lr`.
     pub fn new(max_lr: f64, total_steps: u64) -> Self {
-        Self {
-            schedule: OneCycle::new(max_lr, total_steps),
-            adamw: AdamWConfig::default(),
-            clip_norm: 1.0,
-            gamma: 0.8,
-        }
+        Self { schedule: OneCycle::new(max_lr, total_steps), adamw: AdamWConfig::default(), clip_norm: 1.0, gamma: 0.8 }
     }
 }
 

@@ -57,14 +57,7 @@ impl Plan {
         let wiring = Wiring::new(graph, registry);
         let nodes: Vec<_> = wiring.nodes.iter().enumerate().map(|(i, _)| wiring.plan(i)).collect();
         let source = wiring.sources().next().unwrap_or(0);
-        Ok(Self {
-            mode: graph.mode,
-            seed: graph.seed,
-            window: graph.window,
-            restarts: graph.restarts,
-            nodes,
-            source,
-        })
+        Ok(Self { mode: graph.mode, seed: graph.seed, window: graph.window, restarts: graph.restarts, nodes, source })
     }
 
     pub(crate) fn position(&self, name: &str) -> Option<usize> {

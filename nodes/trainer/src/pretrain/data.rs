@@ -69,7 +69,12 @@ pub(crate) fn plan(config: &PretrainConfig, network_size_px: usize, step: u64) -
 /// Samples of a step have indices from here on, whatever its batch size.
 const INDICES_PER_STEP: u64 = 4096;
 
-fn make(generator: &SampleGenerator, config: &PretrainConfig, size_px: usize, step: u64) -> Result<Batch, TrainerError> {
+fn make(
+    generator: &SampleGenerator,
+    config: &PretrainConfig,
+    size_px: usize,
+    step: u64,
+) -> Result<Batch, TrainerError> {
     let (size_px, pairs) = plan(config, size_px, step);
     let first = step * INDICES_PER_STEP;
     let samples: Vec<Sample> =

@@ -55,7 +55,10 @@ impl RunLog {
             let mean = |part: &[StepReport]| part.iter().map(|r| f64::from(f(r))).sum::<f64>() / part.len() as f64;
             self.reports.chunks(window).map(|part| (part[part.len() / 2].step as f64, mean(part))).collect()
         };
-        let curves = [("loss, px", "#b03020", averaged(|r| r.loss_px)), ("end point error, px", "#2050a0", averaged(|r| r.epe_px))];
+        let curves = [
+            ("loss, px", "#b03020", averaged(|r| r.loss_px)),
+            ("end point error, px", "#2050a0", averaged(|r| r.epe_px)),
+        ];
         let top = curves.iter().flat_map(|c| &c.2).map(|p| p.1).fold(0.0, f64::max).max(1e-6);
         let last = self.reports.last().map_or(1.0, |r| r.step as f64);
         draw(&curves, top, last)
@@ -67,16 +70,32 @@ fn draw(curves: &[(&str, &str, Vec<(f64, f64)>)], top: f64, last: f64) -> String
     const W: f64 = 800.0;
     const H: f64 = 400.0;
     let (x, y) = (|step: f64| 60.0 + (W - 80.0) * step / last, |v: f64| H - 40.0 - (H - 60.0) * v / top);
-    let mut svg = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{W}\" height=\"{H}\" font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"{W}\" height=\"{H}\" fill=\"white\"/>\n");
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{W}\" height=\"{H}\" font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"{W}\" height=\"{H}\" fill=\"white\"/>\n"
+    );
     for i in 0..=4 {
         let (value, step) = (top * f64::from(i) / 4.0, last * f64::from(i) / 4.0);
-        let _ = writeln!(svg, "<path d=\"M60 {0:.1}H{1}\" stroke=\"#ddd\"/><text x=\"52\" y=\"{0:.1}\" text-anchor=\"end\">{value:.2}</text>", y(value), W - 20.0);
+        let _ = writeln!(
+            svg,
+            "<path d=\"M60 {0:.1}H{1}\" stroke=\"#ddd\"/><text x=\"52\" y=\"{0:.1}\" text-anchor=\"end\">{value:.2}</text>",
+            y(value),
+            W - 20.0
+        );
         let _ = writeln!(svg, "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"middle\">{step:.0}</text>", x(step), H - 20.0);
     }
     for (i, (name, colour, points)) in curves.iter().enumerate() {
         let line: Vec<String> = points.iter().map(|p| format!("{:.1},{:.1}", x(p.0), y(p.1))).collect();
-        let _ = writeln!(svg, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"/>", line.join(" "));
-        let _ = writeln!(svg, "<text x=\"{}\" y=\"{}\" fill=\"{colour}\" text-anchor=\"end\">{name}</text>", W - 24.0, 30 + 18 * i);
+        let _ = writeln!(
+            svg,
+            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"/>",
+            line.join(" ")
+        );
+        let _ = writeln!(
+            svg,
+            "<text x=\"{}\" y=\"{}\" fill=\"{colour}\" text-anchor=\"end\">{name}</text>",
+            W - 24.0,
+            30 + 18 * i
+        );
     }
     let _ = writeln!(svg, "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">step</text>\n</svg>", W / 2.0, H - 4.0);
     svg

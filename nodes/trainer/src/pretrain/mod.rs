@@ -115,7 +115,11 @@ fn step(state: &mut TrainState, batch: &data::Batch, network_size_px: usize) -> 
 }
 
 /// A new run, or the checkpoint's.
-fn open(config: &PretrainConfig, network: &NetworkConfig, objects: &ObjectSet) -> Result<(TrainState, RunLog), TrainerError> {
+fn open(
+    config: &PretrainConfig,
+    network: &NetworkConfig,
+    objects: &ObjectSet,
+) -> Result<(TrainState, RunLog), TrainerError> {
     let device = Device::flex();
     let (checkpoint, log_path) = (config.checkpoint_path(), config.out.with_extension("csv"));
     let description = describe(config);
@@ -193,5 +197,15 @@ fn finish(
     }
     let (loss_px, epe_px) = log.recent(200);
     let written = if finished { config.out.clone() } else { config.checkpoint_path() };
-    Ok(PretrainSummary { step: state.step(), finished, loss_px, epe_px, seconds, trained_per_s, made_per_s, written, plot })
+    Ok(PretrainSummary {
+        step: state.step(),
+        finished,
+        loss_px,
+        epe_px,
+        seconds,
+        trained_per_s,
+        made_per_s,
+        written,
+        plot,
+    })
 }

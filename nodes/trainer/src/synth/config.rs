@@ -47,7 +47,12 @@ impl Default for SynthConfig {
     /// The jitter of method.md (15 deg, 15 mm, 50 mm for objects of about 0.2 m), that of rough initial poses, and a
     /// small one for the second pass.
     fn default() -> Self {
-        let jitter = |weight, angle_deg, xy_diameters, z_diameters| JitterConfig { weight, angle_deg, xy_diameters, z_diameters };
+        let jitter = |weight, angle_deg, xy_diameters, z_diameters| JitterConfig {
+            weight,
+            angle_deg,
+            xy_diameters,
+            z_diameters,
+        };
         Self {
             image_px: [640, 480],
             focal_px: [540.0, 680.0],

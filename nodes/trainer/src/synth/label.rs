@@ -34,8 +34,7 @@ impl SyntheticFlow {
         let crop = &placement.crop;
         let size = crop.size_px as usize;
         let k = crop.intrinsics(&placement.intrinsics);
-        let real_from_reference =
-            placement.truth_camera_from_object * placement.reference_camera_from_object.inverse();
+        let real_from_reference = placement.truth_camera_from_object * placement.reference_camera_from_object.inverse();
         let mut flow_px = vec![[0.0_f32; 2]; size * size];
         let mut visible = vec![false; size * size];
         for index in (0..size * size).filter(|&i| reference.mask[i] != 0) {
@@ -46,7 +45,12 @@ impl SyntheticFlow {
             let inside = |v: f64| (0.0..=(size - 1) as f64).contains(&v);
             visible[index] = inside(to.x)
                 && inside(to.y)
-                && is_seen(picture, &window.rendered_from_image(&crop.image_from_crop(&to)), point.z, SAME_SURFACE * diameter_m);
+                && is_seen(
+                    picture,
+                    &window.rendered_from_image(&crop.image_from_crop(&to)),
+                    point.z,
+                    SAME_SURFACE * diameter_m,
+                );
         }
         Self { size_px: crop.size_px, flow_px, visible }
     }

@@ -122,7 +122,8 @@ impl Lighting {
         let mut out: [f32; 3] = std::array::from_fn(|k| albedo[k] * lit[k]);
         if material.gloss > 0.0 {
             let mirrored = normal * (2.0 * normal.dot(&view)) - view;
-            let fresnel = material.gloss + (1.0 - material.gloss) * 0.5 * (1.0 - normal.dot(&view).clamp(0.0, 1.0)).powi(5);
+            let fresnel =
+                material.gloss + (1.0 - material.gloss) * 0.5 * (1.0 - normal.dot(&view).clamp(0.0, 1.0)).powi(5);
             for lamp in self.lamps.iter().chain(&self.windows) {
                 let k = material.sharpness * lamp.sharpness;
                 let lobe = fresnel * (1.0 + 0.15 * k) * (k * (mirrored.dot(&lamp.direction) - 1.0)).exp();
@@ -188,14 +189,19 @@ impl Shader for NoColour {
 }
 
 /// Sample places of the blur, in units of its radius.
-const TAPS: [[f32; 2]; 8] = [
-    [0.1, -0.2], [-0.45, 0.25], [0.5, 0.4], [-0.2, -0.65], [0.75, -0.35], [-0.85, -0.25], [0.1, 0.8], [-0.4, 0.9],
-];
+const TAPS: [[f32; 2]; 8] =
+    [[0.1, -0.2], [-0.45, 0.25], [0.5, 0.4], [-0.2, -0.65], [0.75, -0.35], [-0.85, -0.25], [0.1, 0.8], [-0.4, 0.9]];
 const SHADOW_SIZE: usize = 128;
 
 impl ShadowMap {
     /// The light stands 20 diameters away and sees a circle of 2.4 diameters around the object.
-    fn new(items: &[Item<'_>], centre_m: Vector3<f32>, diameter_m: f32, to_light: Vector3<f32>, softness_px: f32) -> Self {
+    fn new(
+        items: &[Item<'_>],
+        centre_m: Vector3<f32>,
+        diameter_m: f32,
+        to_light: Vector3<f32>,
+        softness_px: f32,
+    ) -> Self {
         let (distance_m, half) = (20.0 * diameter_m, SHADOW_SIZE as f64 / 2.0);
         let eye = centre_m + to_light * distance_m;
         let helper = if to_light.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };

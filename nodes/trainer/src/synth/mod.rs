@@ -102,7 +102,8 @@ impl SampleGenerator {
         let reference = render_reference(object, &placement);
         let mut scene = SyntheticScene::draw(&mut rng, &self.objects, object, &placement, &self.config)?;
         let mut picture = scene.render(&window);
-        let label = |visible: &Rendering| SyntheticFlow::of(&reference, visible, &placement, &window, object.diameter_m);
+        let label =
+            |visible: &Rendering| SyntheticFlow::of(&reference, visible, &placement, &window, object.diameter_m);
         let mut truth = label(&picture.visible);
         if (truth.visible_px() as f64) < self.config.visible_min * reference.foreground_px() as f64 {
             scene.remove_occluders();
@@ -123,7 +124,10 @@ impl SampleGenerator {
 
     fn draw_object(&self, rng: &mut impl rand::Rng) -> Result<&Object, TrainerError> {
         let chosen = rng.below(self.objects.len());
-        self.objects.iter().nth(chosen).ok_or_else(|| TrainerError::NoObjects { folder: self.objects.folder().to_owned() })
+        self.objects
+            .iter()
+            .nth(chosen)
+            .ok_or_else(|| TrainerError::NoObjects { folder: self.objects.folder().to_owned() })
     }
 }
 

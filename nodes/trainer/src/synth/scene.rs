@@ -174,12 +174,18 @@ impl<'a> Surroundings<'a> {
         let k = &self.placement.intrinsics;
         let angle = rng.uniform(0.0, std::f64::consts::TAU);
         let shift = offset * self.diameter_m / self.centre.z;
-        let (x, y) = (self.centre.x / self.centre.z + shift * angle.cos(), self.centre.y / self.centre.z + shift * angle.sin());
+        let (x, y) =
+            (self.centre.x / self.centre.z + shift * angle.cos(), self.centre.y / self.centre.z + shift * angle.sin());
         k.unproject(&Point2::new(k.fx * x + k.cx, k.fy * y + k.cy), z_m)
     }
 
     /// Something beside or behind, often standing on the table.
-    fn add_neighbour(&self, rng: &mut impl Rng, objects: &ObjectSet, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
+    fn add_neighbour(
+        &self,
+        rng: &mut impl Rng,
+        objects: &ObjectSet,
+        things: &mut Vec<Thing>,
+    ) -> Result<(), ImagingError> {
         let z_m = self.centre.z + self.diameter_m * rng.uniform(0.0, 2.5);
         let offset = rng.uniform(0.5, 1.5);
         let at = self.beside(rng, offset, z_m);
@@ -193,7 +199,12 @@ impl<'a> Surroundings<'a> {
     }
 
     /// One or two things before the object, or a hand.
-    fn add_occluders(&self, rng: &mut impl Rng, objects: &ObjectSet, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
+    fn add_occluders(
+        &self,
+        rng: &mut impl Rng,
+        objects: &ObjectSet,
+        things: &mut Vec<Thing>,
+    ) -> Result<(), ImagingError> {
         if rng.chance(0.3) {
             return self.add_hand(rng, things);
         }
@@ -249,7 +260,8 @@ impl<'a> Surroundings<'a> {
 
     /// The table, if any, and a wall behind everything.
     fn ground(&self, rng: &mut impl Rng) -> Result<Vec<Thing>, ImagingError> {
-        let far_m = self.centre.z + self.diameter_m * if self.table_m.is_some() { rng.uniform(3.0, 12.0) } else { rng.uniform(0.8, 6.0) };
+        let far_m = self.centre.z
+            + self.diameter_m * if self.table_m.is_some() { rng.uniform(3.0, 12.0) } else { rng.uniform(0.8, 6.0) };
         let tilt = rng.direction().map(f64::from) * 0.4;
         let mut ground = Vec::with_capacity(2);
         if let Some(table_m) = self.table_m {

@@ -9,10 +9,12 @@ pub(crate) fn write_objects(folder: &Path) -> PathBuf {
         "4": {"diameter": 116.62, "min_x": -40, "min_y": -30, "min_z": 0, "size_x": 80, "size_y": 60, "size_z": 60}}"#;
     std::fs::write(folder.join("models_info.json"), info).unwrap();
     let corner = |i: i32| format!("{} {} {}", 50 * (2 * (i & 1) - 1), 50 * ((i & 2) - 1), 25 * ((i & 4) / 2 - 1));
-    let cube: Vec<String> = (0..8).map(|i| format!("{} {} {} {}", corner(i), 30 * i + 20, 200 - 20 * i, 90 + 11 * i)).collect();
+    let cube: Vec<String> =
+        (0..8).map(|i| format!("{} {} {} {}", corner(i), 30 * i + 20, 200 - 20 * i, 90 + 11 * i)).collect();
     let cube_faces = ["0 2 3 1", "4 5 7 6", "0 1 5 4", "2 6 7 3", "0 4 6 2", "1 3 7 5"];
     write_ply(&folder.join("obj_000001.ply"), &cube, &cube_faces.map(|f| format!("4 {f}")));
-    let pyramid = ["-40 -30 0 250 30 30", "40 -30 0 30 250 30", "40 30 0 30 30 250", "-40 30 0 250 250 30", "0 0 60 240 240 240"];
+    let pyramid =
+        ["-40 -30 0 250 30 30", "40 -30 0 30 250 30", "40 30 0 30 30 250", "-40 30 0 250 250 30", "0 0 60 240 240 240"];
     let faces = ["4 0 3 2 1", "3 0 1 4", "3 1 2 4", "3 2 3 4", "3 3 0 4"];
     write_ply(&folder.join("obj_000004.ply"), &pyramid.map(String::from), &faces.map(String::from));
     folder.to_owned()
@@ -79,7 +81,8 @@ fn pixel_plus_flow_shows_the_same_point_of_the_object() {
         let reference = render_reference(object, &placement);
         let config = SynthConfig { occluded: 0.0, ..SynthConfig::default() };
         let scene = SyntheticScene::draw(&mut rng, &generator.objects, object, &placement, &config).unwrap();
-        let label = SyntheticFlow::of(&reference, &scene.render(&window).visible, &placement, &window, object.diameter_m);
+        let label =
+            SyntheticFlow::of(&reference, &scene.render(&window).visible, &placement, &window, object.diameter_m);
         let k_crop = placement.crop.intrinsics(&k);
         for index in (0..96 * 96).filter(|&i| label.visible[i]).step_by(37) {
             let at = Point2::new((index % 96) as f64, (index / 96) as f64);

@@ -33,7 +33,14 @@ pub(super) fn finger(radius_m: f32, half_m: f32) -> Result<Mesh, ImagingError> {
 
 fn tin(radius_m: f32, half_m: f32) -> Vec<[f32; 2]> {
     let rim = radius_m * 0.96;
-    vec![[0.0, -half_m], [rim, -half_m], [radius_m, -0.96 * half_m], [radius_m, 0.96 * half_m], [rim, half_m], [0.0, half_m]]
+    vec![
+        [0.0, -half_m],
+        [rim, -half_m],
+        [radius_m, -0.96 * half_m],
+        [radius_m, 0.96 * half_m],
+        [rim, half_m],
+        [0.0, half_m],
+    ]
 }
 
 fn ball(radius_m: f32, half_m: f32) -> Vec<[f32; 2]> {

@@ -68,11 +68,14 @@ mod tests {
 
     #[test]
     fn windows_stay_in_the_image_and_hold_the_crop() {
-        for (x0, y0, side) in [(100.3, 50.2, 80.0), (-30.0, 400.0, 150.0), (600.0, -90.0, 120.0), (-10.0, -10.0, 700.0)] {
+        for (x0, y0, side) in [(100.3, 50.2, 80.0), (-30.0, 400.0, 150.0), (600.0, -90.0, 120.0), (-10.0, -10.0, 700.0)]
+        {
             let crop = Crop { x0, y0, side, size_px: 128 };
             let window = Window::of_crop(&crop, &K, [640, 480]);
             assert!(window.x0 + window.width <= 640 && window.y0 + window.height <= 480, "{window:?}");
-            assert!(f64::from(window.x0) <= x0.max(0.0) && f64::from(window.x0 + window.width) >= (x0 + side).min(640.0));
+            assert!(
+                f64::from(window.x0) <= x0.max(0.0) && f64::from(window.x0 + window.width) >= (x0 + side).min(640.0)
+            );
         }
     }
 

@@ -338,15 +338,21 @@ impl Hit {
         let n = [cross(v[1], v[2]), cross(v[2], v[0]), cross(v[0], v[1])];
         let volumes = n.map(|n| n[0] * ray[0] + n[1] * ray[1] + n[2]);
         let total: f64 = volumes.iter().sum();
-        let bounded = volumes.map(|b| (b / total).clamp(0.0, 1.0));
-        let bounded_total: f64 = bounded.iter().sum();
-        let weights = bounded.map(|b| if bounded_total > 0.0 { b / bounded_total } else { 1.0 / 3.0 });
+        let scale = 1.0 / total;
+        let mut weights = volumes.map(|b| b * scale);
+        if !weights.iter().all(|w| (0.0..=1.0).contains(w)) {
+            // The fixed-point outline reaches 1/512 pixel over the triangle; edge-on that could be far away.
+            let bounded = weights.map(|w| if w.is_nan() { 0.0 } else { w.clamp(0.0, 1.0) });
+            let sum: f64 = bounded.iter().sum();
+            weights = if sum > 0.0 { bounded.map(|w| w / sum) } else { [1.0 / 3.0; 3] };
+        }
         let moved = |axis: usize| {
             let volumes: [f64; 3] = std::array::from_fn(|i| volumes[i] + n[i][axis] * step[axis]);
             let moved_total: f64 = volumes.iter().sum();
             // Where the neighbour's ray misses the plane, the footprint is without bound.
+            let scale = 1.0 / moved_total;
             let ahead = moved_total * total > 0.0;
-            volumes.map(|b| if ahead { (b / moved_total) as f32 } else { 1.0 })
+            volumes.map(|b| if ahead { (b * scale) as f32 } else { 1.0 })
         };
         let point = std::array::from_fn(|i| (0..3).map(|j| weights[j] * v[j][i]).sum::<f64>() as f32);
         Self {

@@ -51,7 +51,9 @@ mod definition {
     }
 
     pub(super) fn adi(points: &[Point3<f64>], est: &MatrixPose, gt: &MatrixPose) -> f64 {
-        let nearest = |p: &Point3<f64>| points.iter().map(|q| (moved(est, q) - moved(gt, p)).norm()).fold(f64::INFINITY, f64::min);
+        let nearest = |p: &Point3<f64>| {
+            points.iter().map(|q| (moved(est, q) - moved(gt, p)).norm()).fold(f64::INFINITY, f64::min)
+        };
         points.iter().map(nearest).sum::<f64>() / points.len() as f64
     }
 
@@ -142,7 +144,8 @@ fn the_same_input_gives_the_same_bits_in_any_thread() {
     use rayon::prelude::*;
     let mut rng = StdRng::seed_from_u64(7);
     let model = ModelPoints::new(&cloud(1000, &mut rng)).unwrap();
-    let pairs: Vec<(MatrixPose, MatrixPose)> = (0..64).map(|_| (pose(&mut rng).into(), pose(&mut rng).into())).collect();
+    let pairs: Vec<(MatrixPose, MatrixPose)> =
+        (0..64).map(|_| (pose(&mut rng).into(), pose(&mut rng).into())).collect();
     let _: u64 = rng.random();
     let one_by_one: Vec<u64> = pairs.iter().map(|(e, g)| adi_m(&model, e, g).to_bits()).collect();
     let together: Vec<u64> = pairs.par_iter().map(|(e, g)| adi_m(&model, e, g).to_bits()).collect();

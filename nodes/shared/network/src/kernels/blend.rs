@@ -4,7 +4,7 @@
 //! Update and reset gate come as one tensor (N, 2 C, H, W), update first.
 
 use super::math::{sigmoid, tanh};
-use super::{Array, BackwardCall, Kernel, View};
+use super::{Array, BackwardCall, Kernel, View, vectorize};
 use rayon::prelude::*;
 
 /// `sigmoid(a_r + c_r) h`. Inputs: a and c (N, 2 C, H, W) of which only the second half is read, h (N, C, H, W).
@@ -24,9 +24,14 @@ impl Kernel for ResetGate {
         let mut kept = vec![0.0; if keep { h.data.len() } else { 0 }];
         let gate = |n: usize, y: &mut [f32]| {
             let (a, c) = (&a.data[(2 * n + 1) * image..][..image], &c.data[(2 * n + 1) * image..][..image]);
-            for i in 0..image {
-                y[i] = sigmoid(a[i] + c[i]);
-            }
+            vectorize(
+                #[inline(always)]
+                || {
+                    for i in 0..image {
+                        y[i] = sigmoid(a[i] + c[i]);
+                    }
+                },
+            );
         };
         let scale = |n: usize, y: &mut [f32]| {
             y.iter_mut().zip(&h.data[n * image..][..image]).for_each(|(y, h)| *y *= h);
@@ -77,15 +82,20 @@ impl Kernel for GruBlend {
             let (z, q) = kept.split_at_mut(image);
             let [az, cz] = [az.data, cz.data].map(|d| &d[2 * n * image..][..image]);
             let [aq, cq, h] = [aq.data, cq.data, h.data].map(|d| &d[n * image..][..image]);
-            for i in 0..image {
-                z[i] = sigmoid(az[i] + cz[i]);
-            }
-            for i in 0..image {
-                q[i] = tanh(aq[i] + cq[i]);
-            }
-            for i in 0..image {
-                y[i] = (1.0 - z[i]) * h[i] + z[i] * q[i];
-            }
+            vectorize(
+                #[inline(always)]
+                || {
+                    for i in 0..image {
+                        z[i] = sigmoid(az[i] + cz[i]);
+                    }
+                    for i in 0..image {
+                        q[i] = tanh(aq[i] + cq[i]);
+                    }
+                    for i in 0..image {
+                        y[i] = (1.0 - z[i]) * h[i] + z[i] * q[i];
+                    }
+                },
+            );
         });
         (y, if keep { kept } else { Vec::new() })
     }

@@ -154,6 +154,7 @@ impl Geometry {
 }
 
 /// Adds the bias and clamps at zero if asked.
+#[inline(always)]
 pub(crate) fn finish(values: &mut [f32], bias: f32, relu: bool) {
     let floor = if relu { 0.0 } else { f32::NEG_INFINITY };
     for v in values {
@@ -164,6 +165,7 @@ pub(crate) fn finish(values: &mut [f32], bias: f32, relu: bool) {
 }
 
 /// Sum of a plane in 16 fixed lanes.
+#[inline(always)]
 pub(crate) fn plane_sum(values: &[f32]) -> f32 {
     let mut lanes = [0.0_f32; 16];
     let chunks = values.chunks_exact(16);

@@ -10,6 +10,7 @@ mod l1;
 mod lookup;
 mod math;
 mod norm;
+mod simd;
 mod upsample;
 mod winograd;
 
@@ -18,8 +19,9 @@ pub(crate) use conv::Conv;
 pub(crate) use l1::MaskedL1;
 pub(crate) use lookup::Lookup;
 pub(crate) use norm::{AddRelu, InstanceNorm};
+pub(crate) use simd::vectorize;
 pub(crate) use upsample::{Upsample, align_corners_matrix};
-pub(crate) use winograd::{WinogradConv, WinogradWeight};
+pub(crate) use winograd::{WinogradConv, transform_weights};
 
 /// An owned tensor.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,7 @@
 //! Instance normalisation and the residual sum.
 
 use super::conv::plane_sum;
-use super::{Array, BackwardCall, Kernel, View};
+use super::{Array, BackwardCall, Kernel, View, vectorize};
 use rayon::prelude::*;
 
 /// PyTorch's default.
@@ -17,6 +17,7 @@ pub(crate) struct InstanceNorm {
 }
 
 impl InstanceNorm {
+    #[inline(always)]
     fn forward_plane(self, x: &[f32], y: &mut [f32]) -> [f32; 2] {
         let n = x.len() as f32;
         let mean = plane_sum(x) / n;
@@ -30,6 +31,7 @@ impl InstanceNorm {
         [mean, scale]
     }
 
+    #[inline(always)]
     /// `dx = scale (g - mean(g) - xhat mean(g xhat))`.
     fn backward_plane(self, x: &[f32], y: &[f32], g: &[f32], [mean, scale]: [f32; 2], dx: &mut [f32]) {
         let n = x.len() as f32;
@@ -60,7 +62,12 @@ impl Kernel for InstanceNorm {
             .par_chunks_mut(area)
             .zip(x.data.par_chunks(area))
             .with_min_len(PLANES)
-            .map(|(y, x)| self.forward_plane(x, y))
+            .map(|(y, x)| {
+                vectorize(
+                    #[inline(always)]
+                    || self.forward_plane(x, y),
+                )
+            })
             .collect();
         (y, stats.into_iter().flatten().collect())
     }
@@ -73,7 +80,10 @@ impl Kernel for InstanceNorm {
             let range = i * area..(i + 1) * area;
             let stats = [call.kept[2 * i], call.kept[2 * i + 1]];
             let [x, y, g] = [x.data, call.output.data, call.grad].map(|d| &d[range.clone()]);
-            self.backward_plane(x, y, g, stats, dx);
+            vectorize(
+                #[inline(always)]
+                || self.backward_plane(x, y, g, stats, dx),
+            );
         });
         vec![Some(dx)]
     }

@@ -1,71 +1,121 @@
-//! 3x3 convolution, stride 1, padding 1, by Winograd's F(2x2, 3x3): 2.25 times fewer multiplications than im2col
-//! (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", CVPR 2016).
+//! 3x3 convolution, stride 1, padding 1, by Winograd's F(4x4, 3x3): 4 times fewer multiplications than im2col
+//! (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", CVPR 2016, section 4.3).
 //!
-//! With the transforms B (input), G (weights) and A (output), a 2x2 tile of the result is
-//! `A^T [ (G g G^T) . (B^T d B) ] A`; the sum over channels turns the 16 products into 16 matrix products.
-//! The transformed weights are an operation of their own, so that RAFT's iterations share them and their gradient.
+//! With the transforms B (input), G (weights) and A (output), a 4x4 tile of the result is
+//! `A^T [ (G g G^T) . (B^T d B) ] A`; the sum over channels turns the 36 products into 36 matrix products. The
+//! transforms work on sixteen tiles at once.
 
 use super::conv::{finish, plane_sum};
 use super::gemm::{Matrix, matmul};
-use super::{Array, BackwardCall, Kernel, View};
+use super::simd::{LANES, Pack, vectorize};
+use super::{Array, BackwardCall, Kernel, View, relu_mask};
 use rayon::prelude::*;
+use std::sync::Arc;
 
+/// Side of an output tile, and of an input tile.
+const OUT: usize = 4;
+const IN: usize = 6;
 /// Coefficients of a transformed tile.
-const FREQS: usize = 16;
+const FREQS: usize = IN * IN;
+/// Planes a task takes at least.
+const PLANES: usize = 8;
+/// Output channels whose weight gradients are transformed together, while they are in cache.
+const CHANNELS: usize = 32;
 
-/// w (O, C, 3, 3) to G w G^T as (16, O, C).
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct WinogradWeight;
-
-/// `y = w * x + b` with zeros outside, then ReLU if asked. Inputs: x (N, C, H, W), the transformed weights
-/// (16, O, C), b (O).
-#[derive(Debug, Clone, Copy)]
+/// `y = w * x + b` with zeros outside, then ReLU if asked. Inputs: x (N, C, H, W), w (O, C, 3, 3), b (O).
+#[derive(Debug, Clone)]
 pub(crate) struct WinogradConv {
+    /// G w G^T as (36, O, C), from [`transform_weights`].
+    pub(crate) transformed: Arc<Vec<f32>>,
     /// Clamp the result at zero.
     pub(crate) relu: bool,
 }
 
-/// One row of G applied to three values; `g` is ordered as the rows of G.
-fn g_times([a, b, c]: [f32; 3]) -> [f32; 4] {
-    [a, 0.5 * (a + b + c), 0.5 * (a - b + c), c]
+#[inline(always)]
+fn bt([a, b, c, d, e, f]: [Pack; 6]) -> [Pack; 6] {
+    [
+        a * 4.0 - c * 5.0 + e,
+        d + e - (b + c) * 4.0,
+        (b - c) * 4.0 + e - d,
+        (d - b) * 2.0 + e - c,
+        (b - d) * 2.0 + e - c,
+        b * 4.0 - d * 5.0 + f,
+    ]
 }
 
-/// G^T applied to four values.
-fn gt_times([a, b, c, d]: [f32; 4]) -> [f32; 3] {
-    [a + 0.5 * (b + c), 0.5 * (b - c), 0.5 * (b + c) + d]
+#[inline(always)]
+fn b([a, b, c, d, e, f]: [Pack; 6]) -> [Pack; 6] {
+    [
+        a * 4.0,
+        (c - b) * 4.0 + (e - d) * 2.0 + f * 4.0,
+        Pack::ZERO - a * 5.0 - (b + c) * 4.0 - d - e,
+        b - c + (d - e) * 2.0 - f * 5.0,
+        a + b + c + d + e,
+        f,
+    ]
 }
 
-impl Kernel for WinogradWeight {
-    fn forward(&self, inputs: &[View<'_>], _keep: bool) -> (Array, Vec<f32>) {
-        let w = inputs[0];
-        let [o, c, ..] = w.nchw();
-        let filters = o * c;
-        let mut u = Array::zeros(&[FREQS, o, c]);
-        for (i, g) in w.data.chunks_exact(9).enumerate() {
-            let rows: [[f32; 4]; 3] = std::array::from_fn(|r| g_times([g[3 * r], g[3 * r + 1], g[3 * r + 2]]));
-            for x in 0..4 {
-                let column = g_times([rows[0][x], rows[1][x], rows[2][x]]);
-                for y in 0..4 {
-                    u.data[(4 * y + x) * filters + i] = column[y];
-                }
-            }
-        }
-        (u, Vec::new())
-    }
+#[inline(always)]
+fn at([a, b, c, d, e, f]: [Pack; 6]) -> [Pack; 4] {
+    [a + (b + c) + (d + e), (b - c) + (d - e) * 2.0, (b + c) + (d + e) * 4.0, (b - c) + (d - e) * 8.0 + f]
+}
 
-    fn backward(&self, call: &BackwardCall<'_>) -> Vec<Option<Array>> {
-        let w = call.inputs[0];
-        let filters = w.shape[0] * w.shape[1];
-        let mut dw = Array::zeros(w.shape);
-        dw.data.par_chunks_mut(9).enumerate().with_min_len(1024).for_each(|(i, dg)| {
-            let at = |y: usize, x: usize| call.grad[(4 * y + x) * filters + i];
-            let columns: [[f32; 3]; 4] = std::array::from_fn(|x| gt_times([at(0, x), at(1, x), at(2, x), at(3, x)]));
-            for y in 0..3 {
-                let row = gt_times([columns[0][y], columns[1][y], columns[2][y], columns[3][y]]);
-                dg[3 * y..3 * y + 3].copy_from_slice(&row);
-            }
+#[inline(always)]
+fn a([a, b, c, d]: [Pack; 4]) -> [Pack; 6] {
+    [a, a + b + c + d, a - b + c - d, a + b * 2.0 + c * 4.0 + d * 8.0, a - b * 2.0 + c * 4.0 - d * 8.0, d]
+}
+
+#[inline(always)]
+fn g([a, b, c]: [Pack; 3]) -> [Pack; 6] {
+    let (even, odd) = ((a + c) * (-1.0 / 6.0), b * (-1.0 / 6.0));
+    let (low, high) = (a * (1.0 / 24.0) + c * (1.0 / 6.0), b * (1.0 / 12.0));
+    [a * 0.25, even + odd, even - odd, low + high, low - high, c]
+}
+
+#[inline(always)]
+fn gt([a, b, c, d, e, f]: [Pack; 6]) -> [Pack; 3] {
+    let (even, odd) = ((b + c) * (-1.0 / 6.0), (b - c) * (-1.0 / 6.0));
+    [a * 0.25 + even + (d + e) * (1.0 / 24.0), odd + (d - e) * (1.0 / 12.0), even + (d + e) * (1.0 / 6.0) + f]
+}
+
+/// Applies a transform to the columns, then to the rows.
+#[inline(always)]
+fn both<const P: usize, const Q: usize>(tile: [[Pack; P]; P], f: fn([Pack; P]) -> [Pack; Q]) -> [[Pack; Q]; Q] {
+    let columns: [[Pack; Q]; P] = std::array::from_fn(|x| f(std::array::from_fn(|y| tile[y][x])));
+    std::array::from_fn(|y| f(std::array::from_fn(|x| columns[x][y])))
+}
+
+/// w (O, C, 3, 3) to G w G^T as (36, O, C).
+pub(crate) fn transform_weights(w: &[f32]) -> Vec<f32> {
+    let filters = w.len() / 9;
+    let mut u = vec![0.0; FREQS * filters];
+    for first in (0..filters).step_by(LANES) {
+        let count = LANES.min(filters - first);
+        let tile = std::array::from_fn(|y| {
+            std::array::from_fn(|x| {
+                let mut lanes = [0.0; LANES];
+                (0..count).for_each(|i| lanes[i] = w[(first + i) * 9 + 3 * y + x]);
+                Pack(lanes)
+            })
         });
-        vec![Some(dw)]
+        for (f, value) in both::<3, 6>(tile, g).into_iter().flatten().enumerate() {
+            value.store(&mut u[f * filters + first..][..count]);
+        }
+    }
+    u
+}
+
+/// G^T u G of filters whose coefficients lie `stride` apart, to (filters, 3, 3).
+#[inline(always)]
+fn transform_weights_back(u: &[f32], stride: usize, dw: &mut [f32]) {
+    let filters = dw.len() / 9;
+    for first in (0..filters).step_by(LANES) {
+        let count = LANES.min(filters - first);
+        let tile =
+            std::array::from_fn(|y| std::array::from_fn(|x| Pack::load(&u[(IN * y + x) * stride + first..][..count])));
+        for (k, value) in both::<6, 3>(tile, gt).into_iter().flatten().enumerate() {
+            (0..count).for_each(|i| dw[(first + i) * 9 + k] = value.0[i]);
+        }
     }
 }
 
@@ -82,16 +132,21 @@ struct Tiles {
 
 impl Tiles {
     fn new(n: usize, h: usize, w: usize) -> Self {
-        Self { n, h, w, down: h.div_ceil(2), across: w.div_ceil(2) }
+        Self { n, h, w, down: h.div_ceil(OUT), across: w.div_ceil(OUT) }
+    }
+
+    /// Tiles of one plane.
+    fn plane(&self) -> usize {
+        self.down * self.across
     }
 
     fn count(&self) -> usize {
-        self.n * self.down * self.across
+        self.n * self.plane()
     }
 
     /// Distance of coefficient rows: padded so that rows do not fall on the same cache sets.
     fn stride(&self) -> usize {
-        self.count().next_multiple_of(16) + 16
+        self.count().next_multiple_of(LANES) + LANES
     }
 
     /// Values of one channel.
@@ -99,225 +154,212 @@ impl Tiles {
         FREQS * self.stride()
     }
 
-    /// B^T d B of one image plane, written at tile `first` of a channel's coefficient rows.
-    fn transform_input(&self, plane: &[f32], first: usize, v: &mut [f32], scratch: &mut Scratch) {
-        let (across, stride) = (self.across, self.stride());
-        let rows = 2 * self.down + 2;
-        scratch.rows.resize(4 * rows * across, 0.0);
-        for r in 0..rows {
-            let out = &mut scratch.rows[4 * r * across..][..4 * across];
-            // Row r of the padded plane is image row r - 1.
-            if r == 0 || r > self.h {
-                out.fill(0.0);
-                continue;
-            }
-            let row = &plane[(r - 1) * self.w..][..self.w];
-            scratch.line.clear();
-            scratch.line.resize(2 * across + 2, 0.0);
-            scratch.line[1..=self.w].copy_from_slice(row);
-            let (t0, rest) = out.split_at_mut(across);
-            let (t1, rest) = rest.split_at_mut(across);
-            let (t2, t3) = rest.split_at_mut(across);
-            for x in 0..across {
-                let d: &[f32] = &scratch.line[2 * x..2 * x + 4];
-                t0[x] = d[0] - d[2];
-                t1[x] = d[1] + d[2];
-                t2[x] = d[2] - d[1];
-                t3[x] = d[1] - d[3];
-            }
-        }
-        for ty in 0..self.down {
-            for fx in 0..4 {
-                let row = |i: usize| &scratch.rows[(4 * (2 * ty + i) + fx) * across..][..across];
-                let [d0, d1, d2, d3] = [row(0), row(1), row(2), row(3)];
-                let at = first + ty * across;
-                let mut put = |fy: usize, f: &dyn Fn(usize) -> f32| {
-                    let out = &mut v[(4 * fy + fx) * stride + at..][..across];
-                    for (x, out) in out.iter_mut().enumerate() {
-                        *out = f(x);
-                    }
-                };
-                put(0, &|x| d0[x] - d2[x]);
-                put(1, &|x| d1[x] + d2[x]);
-                put(2, &|x| d2[x] - d1[x]);
-                put(3, &|x| d1[x] - d3[x]);
-            }
+    /// Row length of a plane with a border of one and whole tiles.
+    fn padded_width(&self) -> usize {
+        OUT * self.across + 2
+    }
+
+    fn padded_len(&self) -> usize {
+        (OUT * self.down + 2) * self.padded_width()
+    }
+
+    /// Where the corner of a plane's tile lies in the padded plane.
+    #[inline(always)]
+    fn corner(&self, tile: usize) -> usize {
+        tile / self.across * OUT * self.padded_width() + tile % self.across * OUT
+    }
+
+    /// Copies a plane into the padded one at the given border; the rest stays zero.
+    #[inline(always)]
+    fn pad(&self, plane: &[f32], border: usize, padded: &mut [f32]) {
+        for (y, row) in plane.chunks_exact(self.w).enumerate() {
+            padded[(y + border) * self.padded_width() + border..][..self.w].copy_from_slice(row);
         }
     }
 
-    /// Transpose of [`Self::transform_input`]: the plane's gradient from the coefficients' gradient.
-    fn transform_input_back(&self, v: &[f32], freq_stride: usize, first: usize, plane: &mut [f32]) {
-        let across = self.across;
-        // Overlapping tiles are summed in a padded plane.
-        let width = 2 * across + 2;
-        let mut padded = vec![0.0_f32; (2 * self.down + 2) * width];
-        for ty in 0..self.down {
-            for tx in 0..across {
-                let at = |fy: usize, fx: usize| v[(4 * fy + fx) * freq_stride + first + ty * across + tx];
-                let columns: [[f32; 4]; 4] =
-                    std::array::from_fn(|fx| b_times([at(0, fx), at(1, fx), at(2, fx), at(3, fx)]));
-                for y in 0..4 {
-                    let row = b_times([columns[0][y], columns[1][y], columns[2][y], columns[3][y]]);
-                    let out = &mut padded[(2 * ty + y) * width + 2 * tx..][..4];
-                    out.iter_mut().zip(row).for_each(|(o, r)| *o += r);
-                }
-            }
-        }
+    /// The plane inside the padded one.
+    #[inline(always)]
+    fn crop(&self, padded: &[f32], border: usize, plane: &mut [f32]) {
         for (y, row) in plane.chunks_exact_mut(self.w).enumerate() {
-            row.copy_from_slice(&padded[(y + 1) * width + 1..][..self.w]);
+            row.copy_from_slice(&padded[(y + border) * self.padded_width() + border..][..self.w]);
         }
     }
 
-    /// A^T m A of one output plane.
-    fn transform_output(&self, m: &[f32], freq_stride: usize, first: usize, plane: &mut [f32]) {
-        for ty in 0..self.down {
-            for tx in 0..self.across {
-                let at = |fy: usize, fx: usize| m[(4 * fy + fx) * freq_stride + first + ty * self.across + tx];
-                let columns: [[f32; 2]; 4] =
-                    std::array::from_fn(|fx| at_times([at(0, fx), at(1, fx), at(2, fx), at(3, fx)]));
-                for y in 0..2 {
-                    let row = at_times([columns[0][y], columns[1][y], columns[2][y], columns[3][y]]);
-                    for (x, value) in row.into_iter().enumerate() {
-                        if 2 * ty + y < self.h && 2 * tx + x < self.w {
-                            plane[(2 * ty + y) * self.w + 2 * tx + x] = value;
-                        }
+    /// Transforms tiles of side P of a padded plane to coefficient rows from tile `first` on.
+    #[inline(always)]
+    fn forward<const P: usize>(&self, padded: &[f32], first: usize, f: fn([Pack; P]) -> [Pack; IN], v: &mut [f32]) {
+        let (width, stride) = (self.padded_width(), self.stride());
+        for start in (0..self.plane()).step_by(LANES) {
+            let count = LANES.min(self.plane() - start);
+            let mut tile = [[Pack::ZERO; P]; P];
+            for i in 0..count {
+                let corner = self.corner(start + i);
+                for y in 0..P {
+                    let row = &padded[corner + y * width..][..P];
+                    for x in 0..P {
+                        tile[y][x].0[i] = row[x];
+                    }
+                }
+            }
+            for (f, value) in both(tile, f).into_iter().flatten().enumerate() {
+                value.store(&mut v[f * stride + first + start..][..count]);
+            }
+        }
+    }
+
+    /// Transforms coefficient rows (`stride` apart) from tile `first` on, and adds the tiles of side Q to a padded plane.
+    #[inline(always)]
+    fn backward<const Q: usize>(
+        &self,
+        v: &[f32],
+        stride: usize,
+        first: usize,
+        f: fn([Pack; IN]) -> [Pack; Q],
+        padded: &mut [f32],
+    ) {
+        let width = self.padded_width();
+        for start in (0..self.plane()).step_by(LANES) {
+            let count = LANES.min(self.plane() - start);
+            let tile = std::array::from_fn(|y| {
+                std::array::from_fn(|x| Pack::load(&v[(IN * y + x) * stride + first + start..][..count]))
+            });
+            let tile = both(tile, f);
+            for i in 0..count {
+                let corner = self.corner(start + i);
+                for y in 0..Q {
+                    let row = &mut padded[corner + y * width..][..Q];
+                    for x in 0..Q {
+                        row[x] += tile[y][x].0[i];
                     }
                 }
             }
         }
     }
 
-    /// Transpose of [`Self::transform_output`], written at tile `first` of a channel's coefficient rows.
-    fn transform_output_back(&self, plane: &[f32], first: usize, m: &mut [f32]) {
-        let stride = self.stride();
-        for ty in 0..self.down {
-            for tx in 0..self.across {
-                let at = |y: usize, x: usize| {
-                    let (y, x) = (2 * ty + y, 2 * tx + x);
-                    if y < self.h && x < self.w { plane[y * self.w + x] } else { 0.0 }
-                };
-                let columns: [[f32; 4]; 2] = std::array::from_fn(|x| a_times([at(0, x), at(1, x)]));
-                for fy in 0..4 {
-                    let row = a_times([columns[0][fy], columns[1][fy]]);
-                    for (fx, value) in row.into_iter().enumerate() {
-                        m[(4 * fy + fx) * stride + first + ty * self.across + tx] = value;
+    /// Coefficients of all channels of a batch (N, C, H, W): (C, 36, stride).
+    fn coefficients<const P: usize>(
+        self,
+        data: &[f32],
+        channels: usize,
+        border: usize,
+        f: fn([Pack; P]) -> [Pack; IN],
+    ) -> Vec<f32> {
+        let area = self.h * self.w;
+        let mut v = vec![0.0; channels * self.channel()];
+        v.par_chunks_mut(self.channel()).enumerate().with_min_len(PLANES).for_each(|(channel, v)| {
+            let mut padded = vec![0.0; self.padded_len()];
+            vectorize(
+                #[inline(always)]
+                || {
+                    for image in 0..self.n {
+                        self.pad(&data[(image * channels + channel) * area..][..area], border, &mut padded);
+                        self.forward(&padded, image * self.plane(), f, v);
                     }
-                }
-            }
-        }
+                },
+            );
+        });
+        v
     }
-}
 
-/// Buffers of a task.
-#[derive(Default)]
-struct Scratch {
-    rows: Vec<f32>,
-    line: Vec<f32>,
-}
-
-/// B applied to four values.
-#[inline(always)]
-fn b_times([a, b, c, d]: [f32; 4]) -> [f32; 4] {
-    [a, b - c + d, b + c - a, -d]
-}
-
-/// A^T applied to four values.
-#[inline(always)]
-fn at_times([a, b, c, d]: [f32; 4]) -> [f32; 2] {
-    [a + b + c, b - c - d]
-}
-
-/// A applied to two values.
-#[inline(always)]
-fn a_times([a, b]: [f32; 2]) -> [f32; 4] {
-    [a, a + b, a - b, -b]
-}
-
-/// Coefficients of all channels: (C, 16, stride).
-fn transform_channels(x: &View<'_>, tiles: Tiles, f: impl Fn(usize, &[f32], usize, &mut [f32]) + Sync) -> Vec<f32> {
-    let [n, c, h, w] = x.nchw();
-    let mut v = vec![0.0; c * tiles.channel()];
-    v.par_chunks_mut(tiles.channel()).enumerate().for_each(|(channel, v)| {
-        for image in 0..n {
-            let plane = &x.data[(image * c + channel) * h * w..][..h * w];
-            f(image * c + channel, plane, image * tiles.down * tiles.across, v);
-        }
-    });
-    v
+    /// The batch (N, C, H, W) from coefficients (36, C, stride), then `each(channel, plane)`.
+    fn planes<const Q: usize>(
+        self,
+        v: &[f32],
+        channels: usize,
+        border: usize,
+        f: fn([Pack; IN]) -> [Pack; Q],
+        each: impl Fn(usize, &mut [f32]) + Sync,
+    ) -> Vec<f32> {
+        let area = self.h * self.w;
+        let mut data = vec![0.0; self.n * channels * area];
+        data.par_chunks_mut(area).enumerate().with_min_len(PLANES).for_each(|(i, plane)| {
+            let (image, channel) = (i / channels, i % channels);
+            let mut padded = vec![0.0; self.padded_len()];
+            vectorize(
+                #[inline(always)]
+                || {
+                    let rows = &v[channel * self.stride()..];
+                    self.backward(rows, channels * self.stride(), image * self.plane(), f, &mut padded);
+                    self.crop(&padded, border, plane);
+                },
+            );
+            each(channel, plane);
+        });
+        data
+    }
 }
 
 impl WinogradConv {
-    fn input_coefficients(x: &View<'_>, tiles: Tiles) -> Vec<f32> {
-        thread_local! {
-            static SCRATCH: std::cell::RefCell<Scratch> = std::cell::RefCell::default();
-        }
-        transform_channels(x, tiles, |_, plane, first, v| {
-            SCRATCH.with_borrow_mut(|scratch| tiles.transform_input(plane, first, v, scratch));
-        })
-    }
-
-    /// Multiplies per frequency: (16, rows of `left`, tiles) from `left` (16, R, K) and coefficients (K, 16, stride).
-    fn multiply(left: &[f32], rows: usize, k: usize, transposed: bool, v: &[f32], tiles: Tiles) -> Vec<f32> {
+    /// Per frequency u (O, C), or its transpose, times coefficients (K, 36, stride), to (36, rows, stride).
+    fn multiply(&self, shape: [usize; 2], transposed: bool, v: &[f32], tiles: Tiles) -> Vec<f32> {
+        let [o, c] = shape;
+        let (rows, k) = if transposed { (c, o) } else { (o, c) };
         let (count, stride) = (tiles.count(), tiles.stride());
         let mut m = vec![0.0; FREQS * rows * stride];
         m.par_chunks_mut(rows * stride).enumerate().for_each(|(f, m)| {
-            let block = &left[f * rows * k..][..rows * k];
-            let left = if transposed { Matrix::new(block, k, rows).t() } else { Matrix::new(block, rows, k) };
-            matmul(m, stride, left, Matrix::strided(&v[f * stride..], k, count, FREQS * stride), false);
+            let u = Matrix::new(&self.transformed[f * o * c..][..o * c], o, c);
+            let left = if transposed { u.t() } else { u };
+            matmul(m, stride, left, Matrix::strided(&v[f * stride..], k, count, tiles.channel()), false);
         });
         m
+    }
+
+    /// Gradient by the weights from the coefficients of the output's gradient (O, 36, stride) and of the input.
+    fn weight_gradient(dm: &[f32], v: &[f32], shape: &[usize], tiles: Tiles) -> Array {
+        let c = shape[1];
+        let mut dw = Array::zeros(shape);
+        dw.data.par_chunks_mut(CHANNELS * c * 9).enumerate().for_each(|(block, dw)| {
+            let rows = dw.len() / (c * 9);
+            let mut du = vec![0.0; FREQS * rows * c];
+            for (f, du) in du.chunks_exact_mut(rows * c).enumerate() {
+                let first = block * CHANNELS * tiles.channel() + f * tiles.stride();
+                let grad = Matrix::strided(&dm[first..], rows, tiles.count(), tiles.channel());
+                let input = Matrix::strided(&v[f * tiles.stride()..], c, tiles.count(), tiles.channel());
+                matmul(du, c, grad, input.t(), false);
+            }
+            vectorize(
+                #[inline(always)]
+                || transform_weights_back(&du, rows * c, dw),
+            );
+        });
+        dw
     }
 }
 
 impl Kernel for WinogradConv {
     fn forward(&self, inputs: &[View<'_>], keep: bool) -> (Array, Vec<f32>) {
-        let [x, u, b] = [inputs[0], inputs[1], inputs[2]];
-        let [n, c, h, w] = x.nchw();
-        let o = u.shape[1];
-        assert_eq!(u.shape, [FREQS, o, c], "shape of the transformed weights");
-        let tiles = Tiles::new(n, h, w);
-        let v = Self::input_coefficients(&x, tiles);
-        let m = Self::multiply(u.data, o, c, false, &v, tiles);
-        let mut y = Array::zeros(&[n, o, h, w]);
-        y.data.par_chunks_mut(h * w).enumerate().with_min_len(8).for_each(|(i, plane)| {
-            let (image, channel) = (i / o, i % o);
-            let first = image * tiles.down * tiles.across;
-            tiles.transform_output(&m[channel * tiles.stride()..], o * tiles.stride(), first, plane);
-            finish(plane, b.data[channel], self.relu);
-        });
-        (y, if keep { v } else { Vec::new() })
+        let [x, w, bias] = [inputs[0], inputs[1], inputs[2]];
+        let [n, c, h, wi] = x.nchw();
+        let o = w.shape[0];
+        assert_eq!(w.shape, [o, c, 3, 3], "shape of the weights");
+        assert_eq!(self.transformed.len(), FREQS * o * c, "length of the transformed weights");
+        let tiles = Tiles::new(n, h, wi);
+        let v = tiles.coefficients::<IN>(x.data, c, 1, bt);
+        let m = self.multiply([o, c], false, &v, tiles);
+        let data = tiles.planes::<OUT>(&m, o, 0, at, |channel, plane| finish(plane, bias.data[channel], self.relu));
+        (Array { shape: vec![n, o, h, wi], data }, if keep { v } else { Vec::new() })
     }
 
     fn backward(&self, call: &BackwardCall<'_>) -> Vec<Option<Array>> {
-        let [x, u] = [call.inputs[0], call.inputs[1]];
-        let [n, c, h, w] = x.nchw();
-        let o = u.shape[1];
-        let tiles = Tiles::new(n, h, w);
-        let masked = if self.relu { super::relu_mask(call.grad, call.output.data) } else { Vec::new() };
-        let data = if self.relu { &masked } else { call.grad };
-        let grad = View { shape: call.output.shape, data };
-        let dm = transform_channels(&grad, tiles, |_, plane, first, m| tiles.transform_output_back(plane, first, m));
+        let [x, w] = [call.inputs[0], call.inputs[1]];
+        let [n, c, h, wi] = x.nchw();
+        let o = w.shape[0];
+        let tiles = Tiles::new(n, h, wi);
+        let masked = if self.relu { relu_mask(call.grad, call.output.data) } else { Vec::new() };
+        let grad = if self.relu { &masked } else { call.grad };
+        let dm = tiles.coefficients::<OUT>(grad, o, 0, a);
         let dx = call.wanted[0].then(|| {
-            let dv = Self::multiply(u.data, c, o, true, &dm, tiles);
-            let mut dx = Array::zeros(x.shape);
-            dx.data.par_chunks_mut(h * w).enumerate().with_min_len(8).for_each(|(i, plane)| {
-                let (image, channel) = (i / c, i % c);
-                let first = image * tiles.down * tiles.across;
-                tiles.transform_input_back(&dv[channel * tiles.stride()..], c * tiles.stride(), first, plane);
-            });
-            dx
+            let dv = self.multiply([o, c], true, &dm, tiles);
+            Array { shape: x.shape.to_vec(), data: tiles.planes::<IN>(&dv, c, 1, b, |_, _| ()) }
         });
-        let mut du = Array::zeros(u.shape);
-        du.data.par_chunks_mut(o * c).enumerate().for_each(|(f, du)| {
-            let at = f * tiles.stride();
-            let grad = Matrix::strided(&dm[at..], o, tiles.count(), tiles.channel());
-            let input = Matrix::strided(&call.kept[at..], c, tiles.count(), tiles.channel());
-            matmul(du, c, grad, input.t(), false);
+        let dw = call.wanted[1].then(|| Self::weight_gradient(&dm, call.kept, w.shape, tiles));
+        let db = call.wanted[2].then(|| {
+            let mut db = vec![0.0; o];
+            for image in grad.chunks_exact(o * h * wi) {
+                db.iter_mut().zip(image.chunks_exact(h * wi)).for_each(|(db, plane)| *db += plane_sum(plane));
+            }
+            Array { shape: vec![o], data: db }
         });
-        let mut db = vec![0.0; o];
-        for image in grad.data.chunks_exact(o * h * w) {
-            db.iter_mut().zip(image.chunks_exact(h * w)).for_each(|(db, plane)| *db += plane_sum(plane));
-        }
-        vec![dx, Some(du), Some(Array { shape: vec![o], data: db })]
+        vec![dx, dw, db]
     }
 }

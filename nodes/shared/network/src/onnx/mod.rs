@@ -37,7 +37,10 @@ pub fn export_onnx(weights: &Weights, config: &NetworkConfig, options: ExportOpt
     let ExportOptions { size_px, iterations, batch } = options;
     check_size(size_px)?;
     if !(1..=64).contains(&iterations) {
-        return Err(NetworkError::ConfigValue { field: "iterations", problem: format!("is {iterations}; use 1 to 64") });
+        return Err(NetworkError::ConfigValue {
+            field: "iterations",
+            problem: format!("is {iterations}; use 1 to 64"),
+        });
     }
     if batch == Some(0) {
         return Err(NetworkError::ConfigValue { field: "batch", problem: "is 0; use at least 1".into() });
@@ -153,8 +156,7 @@ impl<'a> Export<'a> {
         }
         let mut shortcut = x.to_string();
         if shrinks {
-            shortcut =
-                self.normed(x, &format!("{name}.downsample.0"), &format!("{name}.downsample.1"), 2, instance);
+            shortcut = self.normed(x, &format!("{name}.downsample.0"), &format!("{name}.downsample.1"), 2, instance);
         }
         let sum = self.graph.op("Add", &[&shortcut, &y], &[]);
         self.graph.relu(&sum)

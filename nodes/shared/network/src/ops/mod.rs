@@ -70,37 +70,30 @@ pub fn conv2d(x: Tensor<4>, w: Tensor<4>, b: Tensor<1>, spec: ConvSpec) -> Tenso
 /// Weights of a 3x3 convolution of stride 1, prepared once for several calls of [`conv3x3`].
 #[derive(Debug, Clone)]
 pub struct Prepared3x3 {
-    /// On the CPU Winograd's (16, O, C), else (O, C, 3, 3).
-    weight: PreparedWeight,
+    weight: Tensor<4>,
     bias: Tensor<1>,
-}
-
-#[derive(Debug, Clone)]
-enum PreparedWeight {
-    Winograd(Tensor<3>),
-    Stock(Tensor<4>),
+    /// Winograd's form of the weights on the CPU.
+    transformed: Option<Arc<Vec<f32>>>,
 }
 
 impl Prepared3x3 {
     /// From w (O, C, 3, 3) and b (O).
-    pub fn new(w: Tensor<4>, bias: Tensor<1>) -> Self {
-        let weight = if has_kernels(&w.device()) {
-            PreparedWeight::Winograd(run1(w, kernels::WinogradWeight))
-        } else {
-            PreparedWeight::Stock(w)
-        };
-        Self { weight, bias }
+    pub fn new(weight: Tensor<4>, bias: Tensor<1>) -> Self {
+        let transformed = has_kernels(&weight.device()).then(|| {
+            let data = weight.clone().detach().into_data();
+            let data = data.try_into_vec::<f32>().expect("the network works in f32");
+            Arc::new(kernels::transform_weights(&data))
+        });
+        Self { weight, bias, transformed }
     }
 }
 
 /// 3x3 convolution with stride 1 and padding 1: x (N, C, H, W) to (N, O, H, W).
 pub fn conv3x3(x: Tensor<4>, prepared: &Prepared3x3, relu: bool) -> Tensor<4> {
-    let bias = prepared.bias.clone();
-    match &prepared.weight {
-        PreparedWeight::Winograd(u) => run3(x, u.clone(), bias, kernels::WinogradConv { relu }),
-        PreparedWeight::Stock(w) => {
-            stock::conv2d(x, w.clone(), bias, ConvSpec { stride: 1, pad: [1, 1], relu })
-        }
+    let (weight, bias) = (prepared.weight.clone(), prepared.bias.clone());
+    match &prepared.transformed {
+        Some(transformed) => run3(x, weight, bias, kernels::WinogradConv { transformed: transformed.clone(), relu }),
+        None => stock::conv2d(x, weight, bias, ConvSpec { stride: 1, pad: [1, 1], relu }),
     }
 }
 

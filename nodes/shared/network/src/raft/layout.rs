@@ -44,22 +44,12 @@ pub(crate) const LEVELS: usize = 4;
 impl Architecture {
     pub(crate) fn widths(self) -> Widths {
         match self {
-            Self::Basic => Widths {
-                stages: [64, 64, 96, 128],
-                features: 256,
-                hidden: 128,
-                context: 128,
-                motion: 128,
-                radius: 4,
-            },
-            Self::Small => Widths {
-                stages: [32, 32, 64, 96],
-                features: 128,
-                hidden: 96,
-                context: 64,
-                motion: 82,
-                radius: 3,
-            },
+            Self::Basic => {
+                Widths { stages: [64, 64, 96, 128], features: 256, hidden: 128, context: 128, motion: 128, radius: 4 }
+            }
+            Self::Small => {
+                Widths { stages: [32, 32, 64, 96], features: 128, hidden: 96, context: 64, motion: 82, radius: 3 }
+            }
         }
     }
 

@@ -56,7 +56,8 @@ impl<'a> Source<'a> {
         let tensors: HashMap<_, _> = weights.tensors().iter().map(|t| (t.name.as_str(), t)).collect();
         for spec in config.arch.layout() {
             if tensors.get(spec.name.as_str()).is_none_or(|t| t.shape != spec.shape) {
-                let found = tensors.get(spec.name.as_str()).map_or("is missing".into(), |t| format!("has {:?}", t.shape));
+                let found =
+                    tensors.get(spec.name.as_str()).map_or("is missing".into(), |t| format!("has {:?}", t.shape));
                 return Err(NetworkError::WeightsMismatch {
                     origin: format!("weights of `{}`", weights.info.network),
                     network: config.name.clone(),

@@ -45,10 +45,7 @@ impl Gru {
             let Widths { hidden, context, motion, .. } = widths;
             let recurrent = vec![w.clone().narrow(1, 0, hidden), w.clone().narrow(1, hidden + context, motion)];
             let no_bias = Tensor::zeros(bias.dims(), &bias.device());
-            [
-                Conv::new((Tensor::cat(recurrent, 1), no_bias), 1),
-                Conv::new((w.narrow(1, hidden, context), bias), 1),
-            ]
+            [Conv::new((Tensor::cat(recurrent, 1), no_bias), 1), Conv::new((w.narrow(1, hidden, context), bias), 1)]
         };
         let [gates, gates_context] = split(gates, bias);
         let [candidate, candidate_context] = split(wq, bq);

@@ -267,6 +267,18 @@ fn a_killed_writer_is_taken_up_without_a_frame_lost_or_doubled() {
 }
 
 #[test]
+fn a_frame_that_did_not_end_is_not_in_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = BagWriter::create(&bag, Packing::None).unwrap();
+    let topics = Topics::add(&mut writer);
+    topics.write(&mut writer, 0, 10);
+    writer.write(topics.0, 1, 1, &image(1, 10)).unwrap();
+    drop(writer); // an error in the middle of the frame
+    assert_eq!(BagWriter::resume(&bag, Packing::None).unwrap().1.sequences, [0].into());
+}
+
+#[test]
 fn a_writer_killed_before_its_first_frame_is_taken_up_too() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");

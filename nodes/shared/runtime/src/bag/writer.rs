@@ -25,6 +25,8 @@ pub struct BagWriter {
     name: String,
     packing: Packing,
     current: FileWriter,
+    /// Messages of the frame that has not ended: dropped with the writer, so that no half frame reaches the file.
+    pending: Vec<Pending>,
     /// Channel of each topic in the current file.
     channels: Vec<u16>,
     topics: Vec<TopicRecord>,
@@ -33,6 +35,14 @@ pub struct BagWriter {
     custom: BTreeMap<String, String>,
     /// Topics of files from before an interruption.
     earlier: BTreeMap<String, TopicRecord>,
+}
+
+#[derive(Debug)]
+struct Pending {
+    topic: TopicId,
+    time_ns: u64,
+    sequence: u32,
+    cdr: Vec<u8>,
 }
 
 /// What a bag held when it was taken up again.
@@ -67,6 +77,7 @@ impl BagWriter {
             name,
             packing,
             current: FileWriter::create(&path, packing, None)?,
+            pending: Vec::new(),
             channels: Vec::new(),
             topics: Vec::new(),
             counts: BTreeMap::new(),
@@ -146,10 +157,10 @@ impl BagWriter {
         Ok(())
     }
 
-    /// Writes a message; it is safe after the next [`Self::end_frame`].
+    /// Takes a message of the frame; it is in the file after [`Self::end_frame`].
     ///
     /// # Errors
-    /// When the stamp lies before the epoch or the file cannot be written.
+    /// When the stamp lies before the epoch or the message cannot be encoded.
     pub fn write<M: BagMessage>(
         &mut self,
         topic: TopicId,
@@ -157,29 +168,32 @@ impl BagWriter {
         sequence: u32,
         message: &M,
     ) -> Result<(), BagError> {
-        let data = to_cdr(message)
-            .map_err(|error| BagError::Write { path: self.directory.clone(), cause: error.to_string() })?;
-        self.write_cdr(topic, stamp_ns, sequence, &data)
-    }
-
-    fn write_cdr(&mut self, topic: TopicId, stamp_ns: i64, sequence: u32, data: &[u8]) -> Result<(), BagError> {
-        let name = &self.topics[topic.0].name;
-        let time = u64::try_from(stamp_ns).map_err(|_| BagError::Stamp {
-            path: self.directory.clone(),
-            topic: name.clone(),
+        let path = || self.directory.clone();
+        let time_ns = u64::try_from(stamp_ns).map_err(|_| BagError::Stamp {
+            path: path(),
+            topic: self.topics[topic.0].name.clone(),
             stamp_ns,
         })?;
-        let channel_id = self.channels[topic.0];
-        self.current.write(&MessageHeader { channel_id, sequence, log_time: time, publish_time: time }, data)?;
-        *self.counts.entry(name.clone()).or_default() += 1;
+        let cdr = to_cdr(message).map_err(|error| BagError::Write { path: path(), cause: error.to_string() })?;
+        self.pending.push(Pending { topic, time_ns, sequence, cdr });
         Ok(())
     }
 
-    /// Makes all that was written safe from this process's death.
+    /// Writes the frame's messages as one chunk and makes them safe from this process's death.
     ///
     /// # Errors
     /// When the file cannot be written.
     pub fn end_frame(&mut self) -> Result<(), BagError> {
+        for Pending { topic, time_ns, sequence, cdr } in std::mem::take(&mut self.pending) {
+            let header = MessageHeader {
+                channel_id: self.channels[topic.0],
+                sequence,
+                log_time: time_ns,
+                publish_time: time_ns,
+            };
+            self.current.write(&header, &cdr)?;
+            *self.counts.entry(self.topics[topic.0].name.clone()).or_default() += 1;
+        }
         self.current.end_chunk()
     }
 
@@ -188,6 +202,7 @@ impl BagWriter {
     /// # Errors
     /// When the files cannot be written.
     pub fn split(&mut self) -> Result<(), BagError> {
+        self.end_frame()?;
         let path = self.directory.join(format!("{}_{}.mcap", self.name, self.next_split()));
         let next = FileWriter::create(&path, self.packing, None)?;
         let finished = std::mem::replace(&mut self.current, next);
@@ -212,11 +227,13 @@ impl BagWriter {
             .map_err(|error| BagError::Metadata { path: self.directory.clone(), cause: error.to_string() })
     }
 
-    /// Closes the last file and writes `metadata.yaml`. Without it the bag can be taken up by [`Self::resume`].
+    /// Ends the frame, closes the last file and writes `metadata.yaml`. Without it the bag can be taken up by
+    /// [`Self::resume`].
     ///
     /// # Errors
     /// When the files cannot be written.
-    pub fn finish(self) -> Result<(), BagError> {
+    pub fn finish(mut self) -> Result<(), BagError> {
+        self.end_frame()?;
         let mut files = self.done.clone();
         files.push(self.current.span.clone());
         let information = self.information(&files)?;

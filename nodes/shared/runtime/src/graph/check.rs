@@ -251,5 +251,9 @@ impl<'a> Check<'a> {
 }
 
 fn one_of(names: &[&str]) -> String {
-    if names.is_empty() { "there is none to choose from".to_owned() } else { format!("take one of: {}", names.join(", ")) }
+    if names.is_empty() {
+        "there is none to choose from".to_owned()
+    } else {
+        format!("take one of: {}", names.join(", "))
+    }
 }

@@ -32,10 +32,8 @@ impl Graph {
 
     fn set_config(&mut self, node: &str, path: &str, value: Value) -> Result<(), String> {
         let names = self.nodes.keys().cloned().collect::<Vec<_>>().join(", ");
-        let spec = self
-            .nodes
-            .get_mut(node)
-            .ok_or_else(|| format!("the graph has no node `{node}`: its nodes are {names}"))?;
+        let spec =
+            self.nodes.get_mut(node).ok_or_else(|| format!("the graph has no node `{node}`: its nodes are {names}"))?;
         let mut place = &mut spec.config;
         for part in path.split('.') {
             if place.is_null() {

@@ -95,8 +95,10 @@ pub(crate) struct Loaned(SampleMut<ipc::Service, [u8], Envelope>);
 
 impl MessageOut {
     pub(crate) fn loan(&self, len: usize, fill: &mut dyn FnMut(&mut [u8])) -> Result<Loaned, IpcError> {
-        let mut sample =
-            self.0.loan_slice_uninit(len).map_err(|e| IpcError::new(format!("getting {len} bytes for a message"), e))?;
+        let mut sample = self
+            .0
+            .loan_slice_uninit(len)
+            .map_err(|e| IpcError::new(format!("getting {len} bytes for a message"), e))?;
         let block = sample.payload_mut();
         // SAFETY: the block lies in a mapped file, whose bytes always hold some value; `u8` allows every value.
         fill(unsafe { std::slice::from_raw_parts_mut(block.as_mut_ptr().cast::<u8>(), block.len()) });

@@ -7,11 +7,7 @@ use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
-fn service(
-    node: &Node<ipc::Service>,
-    name: &str,
-    processes: usize,
-) -> Result<PortFactory<ipc::Service>, IpcError> {
+fn service(node: &Node<ipc::Service>, name: &str, processes: usize) -> Result<PortFactory<ipc::Service>, IpcError> {
     let what = format!("opening the bell of `{name}`");
     let service = ServiceName::new(&format!("wake/{name}")).map_err(|e| IpcError::new(&*what, e))?;
     node.service_builder(&service)

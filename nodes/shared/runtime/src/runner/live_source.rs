@@ -42,7 +42,13 @@ impl<N: Node> Runner<'_, N> {
             let early = paced && self.outputs.frame().is_some() && monotonic_ns() < traffic.due_ns + traffic.gap_ns;
             let busy = !traffic.ended && !early && self.ask(&mut traffic, paced)?;
             let sent = self.admit(&mut traffic)?;
-            let pause = if busy || sent { Duration::ZERO } else if traffic.ended { TICK } else { POLL };
+            let pause = if busy || sent {
+                Duration::ZERO
+            } else if traffic.ended {
+                TICK
+            } else {
+                POLL
+            };
             if !pause.is_zero() && self.sleep(pause)? {
                 return Ok(Ending::Terminated);
             }

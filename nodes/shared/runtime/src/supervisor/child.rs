@@ -18,12 +18,7 @@ pub(super) enum Event {
 }
 
 /// Starts a node's process in a group of its own, so that Ctrl-C reaches the supervisor alone.
-pub(super) fn start(
-    command: &[OsString],
-    name: &str,
-    graph: &Path,
-    run_dir: &Path,
-) -> std::io::Result<Child> {
+pub(super) fn start(command: &[OsString], name: &str, graph: &Path, run_dir: &Path) -> std::io::Result<Child> {
     let (program, arguments) = command.split_first().ok_or(std::io::ErrorKind::InvalidInput)?;
     Command::new(program)
         .args(arguments)

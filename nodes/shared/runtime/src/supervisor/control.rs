@@ -148,7 +148,8 @@ impl<'a> Control<'a> {
         if matches!(self.phase, Phase::Terminating | Phase::Killing) {
             return;
         }
-        let (name, how, words) = (self.plan.nodes[node].name.clone(), child::how(status), self.charges[node].words.text());
+        let (name, how, words) =
+            (self.plan.nodes[node].name.clone(), child::how(status), self.charges[node].words.text());
         let restarts = self.board.get(node, Word::Restarts);
         if !child::died(status) {
             return self.fail(SupervisorError::Failed { node: name, how, words });

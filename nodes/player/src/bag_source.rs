@@ -1,0 +1,186 @@
+use crate::bag_pass::{Camera, Pass, SeenImage};
+use crate::source::check_sizes;
+use crate::{FrameSource, LoadedFrame, PlayerError};
+use pseudoflow_imaging::decode_rgb;
+use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Detection3DArray, Image, Naming, RosMessage, object_poses};
+use pseudoflow_msgs::{CameraFrameHeader, FRAME_ID_BYTES, ObjectPose};
+use pseudoflow_runtime::bag::{BagReader, TopicInfo, TopicNumber};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Which topics of a bag are played.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct BagOptions {
+    /// Topic of the images; without: the only one of an image type.
+    pub image_topic: Option<String>,
+    /// Topic of the CameraInfo; without: the only one of its type.
+    pub camera_info_topic: Option<String>,
+    /// Topic of initial poses (Detection3DArray); none without.
+    pub poses_topic: Option<String>,
+    /// Whether the images are rectified already, so that P holds instead of K.
+    pub rectified: bool,
+    /// Names of objects in the detections.
+    pub naming: Naming,
+}
+
+/// A rosbag2 recording. Opened once whole: every checksum, image size, camera and detection is looked at before the
+/// first frame, so that what cannot be played is refused before anything is written.
+#[derive(Debug)]
+pub struct BagSource {
+    reader: BagReader,
+    path: PathBuf,
+    images: (TopicNumber, bool),
+    poses_topic: Option<TopicNumber>,
+    naming: Naming,
+    frames: Vec<Frame>,
+    objects: BTreeMap<u32, usize>,
+    /// `(scene, image)` of each frame where the bag was made from a BOP scene.
+    bop_ids: Vec<(u32, u32)>,
+}
+
+#[derive(Debug)]
+struct Frame {
+    stamp_ns: i64,
+    intrinsics: [f64; 4],
+    /// Message of the poses topic with the image's stamp.
+    poses: Option<usize>,
+}
+
+impl BagSource {
+    /// Opens and checks a bag.
+    ///
+    /// # Errors
+    /// When it is damaged, topics are missing or ambiguous, an image has no camera, a camera no intrinsics, or the
+    /// images' size changes or is not the camera's.
+    pub fn open(path: &Path, options: &BagOptions) -> Result<Self, PlayerError> {
+        let mut pass = Pass::new(options);
+        let reader = BagReader::open_visiting(path, &mut |visited| {
+            pass.visit(&visited);
+            Ok(())
+        })?;
+        let compressed = CompressedImage::type_name();
+        let image_types = [Image::type_name(), compressed.clone()];
+        let image_topic = choose(&reader, options.image_topic.as_deref(), &image_types, "image_topic")?;
+        let info_types = [CameraInfo::type_name()];
+        let info_topic = choose(&reader, options.camera_info_topic.as_deref(), &info_types, "camera_info_topic")?;
+        let poses_types = [Detection3DArray::type_name()];
+        let poses_topic = options.poses_topic.as_deref().map(|name| reader.topic(name, &poses_types)).transpose()?;
+        pass.refuse(path, [Some(&image_topic), Some(&info_topic), options.poses_topic.as_ref()])?;
+
+        let cameras = pass.cameras.get(&info_topic).map(Vec::as_slice).unwrap_or_default();
+        let images = pass.images.get(&image_topic).map(Vec::as_slice).unwrap_or_default();
+        let paired = pair(path, &info_topic, images, cameras)?;
+        // CameraInfo may leave its size 0.
+        let stated = |camera: &Camera| Some(camera.size_px).filter(|size| *size != (0, 0));
+        check_sizes(paired.iter().map(|(image, camera)| (path.to_owned(), image.size_px, stated(camera))))?;
+        let frames: Vec<Frame> = paired
+            .iter()
+            .map(|(image, camera)| Frame {
+                stamp_ns: image.stamp_ns,
+                intrinsics: camera.intrinsics,
+                poses: pass.poses.get(&image.stamp_ns).copied(),
+            })
+            .collect();
+        let number = reader.topic(&image_topic, &image_types)?;
+        Ok(Self {
+            images: (number, reader.topics()[number].type_name == compressed),
+            bop_ids: bop_ids(&reader),
+            objects: pass.objects.iter().map(|(id, stamp_ns)| (*id, frame_of(&frames, *stamp_ns))).collect(),
+            frames,
+            poses_topic,
+            naming: options.naming.clone(),
+            path: path.to_owned(),
+            reader,
+        })
+    }
+
+    fn decode(&mut self, number: usize) -> Result<(u32, u32, String, Vec<u8>), PlayerError> {
+        let failed = |path: &Path, cause: String| PlayerError::Image { path: path.to_owned(), number, cause };
+        let (topic, compressed) = self.images;
+        if compressed {
+            let message: CompressedImage = self.reader.read(topic, number)?;
+            let name = format!("CompressedImage of format `{}`", message.format);
+            let image = decode_rgb(&message.data, &name).map_err(|error| failed(&self.path, error.to_string()))?;
+            return Ok((image.width(), image.height(), message.header.frame_id, image.into_raw()));
+        }
+        let message: Image = self.reader.read(topic, number)?;
+        let mut rgb = Vec::new();
+        message.write_rgb(&mut rgb).map_err(|error| failed(&self.path, error.to_string()))?;
+        Ok((message.width, message.height, message.header.frame_id, rgb))
+    }
+
+    fn poses_of(&mut self, frame: usize) -> Result<Vec<ObjectPose>, PlayerError> {
+        let (Some(topic), Some(number)) = (self.poses_topic, self.frames[frame].poses) else { return Ok(Vec::new()) };
+        let array: Detection3DArray = self.reader.read(topic, number)?;
+        Ok(object_poses(&array, &self.naming).0)
+    }
+}
+
+/// Ids that `bag from-bop` keeps in the bag; none in other bags.
+fn bop_ids(reader: &BagReader) -> Vec<(u32, u32)> {
+    let text = reader.custom_data().get(crate::from_bop::IDS_KEY);
+    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
+}
+
+fn frame_of(frames: &[Frame], stamp_ns: i64) -> usize {
+    frames.iter().position(|frame| frame.stamp_ns == stamp_ns).unwrap_or_default()
+}
+
+/// The named topic, or the only one of the types.
+fn choose(reader: &BagReader, named: Option<&str>, types: &[String], key: &'static str) -> Result<String, PlayerError> {
+    if let Some(name) = named {
+        reader.topic(name, types)?;
+        return Ok(name.to_owned());
+    }
+    // An overlay that a recorder of ours drew is no camera.
+    let fits = |t: &&TopicInfo| types.contains(&t.type_name) && !t.name.starts_with("/overlay");
+    let fitting: Vec<_> = reader.topics().iter().filter(fits).collect();
+    let (path, types, topics) = (reader.path().to_owned(), types.join(" or "), reader.described());
+    match fitting.as_slice() {
+        [only] => {
+            reader.topic(&only.name, std::slice::from_ref(&only.type_name))?;
+            Ok(only.name.clone())
+        }
+        [] => Err(PlayerError::NoTopic { path, types, key, topics }),
+        several => Err(PlayerError::Topic { path, found: several.len(), types, key, topics }),
+    }
+}
+
+/// Each image with the camera of its stamp, or the last one before it (drivers may send CameraInfo less often).
+fn pair<'a>(
+    path: &Path,
+    topic: &str,
+    images: &'a [SeenImage],
+    cameras: &[(i64, Camera)],
+) -> Result<Vec<(&'a SeenImage, Camera)>, PlayerError> {
+    let by_stamp: BTreeMap<i64, Camera> = cameras.iter().copied().collect();
+    let with_camera = |(number, image): (usize, &'a SeenImage)| match by_stamp.range(..=image.stamp_ns).next_back() {
+        Some((_, camera)) => Ok((image, *camera)),
+        None => Err(PlayerError::NoCameraInfo {
+            path: path.to_owned(),
+            number,
+            stamp_ns: image.stamp_ns,
+            topic: topic.to_owned(),
+        }),
+    };
+    images.iter().enumerate().map(with_camera).collect()
+}
+
+impl FrameSource for BagSource {
+    fn count(&self) -> usize {
+        self.frames.len()
+    }
+
+    fn objects(&self) -> BTreeMap<u32, usize> {
+        self.objects.clone()
+    }
+
+    fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {
+        let Frame { stamp_ns, intrinsics, .. } = self.frames[number];
+        let (width, height, name, rgb) = self.decode(number)?;
+        let frame_id = CameraFrameHeader::frame_id_bytes(&name).unwrap_or([0; FRAME_ID_BYTES]); // checked on the pass
+        let (scene_id, image_id) = self.bop_ids.get(number).copied().unwrap_or((0, number as u32));
+        let header = CameraFrameHeader { width, height, scene_id, image_id, intrinsics, frame_id };
+        Ok(LoadedFrame { stamp_ns, header, rgb, initial_poses: self.poses_of(number)? })
+    }
+}

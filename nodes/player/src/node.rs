@@ -1,0 +1,194 @@
+use crate::bop_source::given_poses;
+use crate::{BagOptions, BagSource, BopSource, FrameSource, LoadedFrame, PlayerError};
+use pseudoflow_imaging::{InitialPose, ObjectSet, read_initial_poses};
+use pseudoflow_msgs::ros::Naming;
+use pseudoflow_msgs::{CameraFrame, FrameKey, ObjectPoses};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Role};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Settings of the player node.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PlayerConfig {
+    /// A rosbag2 folder, an .mcap file, or a BOP scene folder.
+    pub source: PathBuf,
+    /// Folder of the object set: poses of other objects are errors.
+    #[serde(default)]
+    pub objects: Option<PathBuf>,
+    /// Where initial poses come from. BOP scenes bring their own (`init_poses.json`).
+    #[serde(default)]
+    pub initial_poses: InitialPoses,
+    /// Topic of the images; without: the only one.
+    #[serde(default)]
+    pub image_topic: Option<String>,
+    /// Topic of the CameraInfo; without: the only one.
+    #[serde(default)]
+    pub camera_info_topic: Option<String>,
+    /// Whether the images of a bag are rectified, so that CameraInfo's P holds instead of K.
+    #[serde(default)]
+    pub rectified: bool,
+    /// Only initial poses of these objects; all without.
+    #[serde(default)]
+    pub only_objects: Option<Vec<u32>>,
+    /// Plays at most this many frames.
+    #[serde(default)]
+    pub max_frames: Option<u64>,
+}
+
+/// Where initial poses come from.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct InitialPoses {
+    /// A topic of the bag (vision_msgs/Detection3DArray).
+    #[serde(default)]
+    pub topic: Option<String>,
+    /// A file as `init_poses.json` of BOP sets: poses by image id (of a bag that no BOP scene became: the frame's
+    /// count). They hold instead of the scene's own.
+    #[serde(default)]
+    pub file: Option<PathBuf>,
+}
+
+/// Plays a recording: camera frames and initial poses, any frame again when asked.
+pub struct PlayerNode {
+    config: PlayerConfig,
+    source: Box<dyn FrameSource>,
+    /// Of `initial_poses.file`, by image id.
+    poses: Option<BTreeMap<u32, Vec<InitialPose>>>,
+}
+
+fn is_bop_scene(path: &Path) -> bool {
+    path.join("scene_camera.json").is_file()
+}
+
+fn open(config: &PlayerConfig, naming: Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
+    if is_bop_scene(&config.source) {
+        return Ok(Box::new(BopSource::open(&config.source)?));
+    }
+    if !config.source.exists() {
+        return Err(PlayerError::NoRecording(config.source.clone()));
+    }
+    let options = BagOptions {
+        image_topic: config.image_topic.clone(),
+        camera_info_topic: config.camera_info_topic.clone(),
+        poses_topic: config.initial_poses.topic.clone(),
+        rectified: config.rectified,
+        naming,
+    };
+    Ok(Box::new(BagSource::open(&config.source, &options)?))
+}
+
+/// Objects are known by id: those asked for, and those of all initial poses that will be sent.
+fn check_objects(config: &PlayerConfig, objects: &BTreeMap<u32, usize>, known: &[u32]) -> Result<(), PlayerError> {
+    let wanted = config.only_objects.as_deref();
+    let unknown = |id: &u32| !known.contains(id);
+    if let Some(object_id) = wanted.unwrap_or_default().iter().copied().find(unknown) {
+        let objects = config.objects.clone().unwrap_or_default();
+        return Err(PlayerError::UnknownWanted { object_id, objects, known: known.to_vec() });
+    }
+    match objects.iter().find(|(id, _)| unknown(id) && wanted.is_none_or(|wanted| wanted.contains(id))) {
+        Some((object_id, number)) => Err(PlayerError::UnknownObject {
+            path: config.initial_poses.file.clone().unwrap_or_else(|| config.source.clone()),
+            number: *number,
+            object_id: *object_id,
+            known: known.to_vec(),
+        }),
+        None => Ok(()),
+    }
+}
+
+/// The objects of a file of poses, each with the first image that has one.
+fn objects_of(poses: &BTreeMap<u32, Vec<InitialPose>>) -> BTreeMap<u32, usize> {
+    let mut objects = BTreeMap::new();
+    for (image_id, poses) in poses {
+        for pose in poses {
+            objects.entry(pose.object_id).or_insert(*image_id as usize);
+        }
+    }
+    objects
+}
+
+impl PlayerNode {
+    fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {
+        let mut frame = self.source.load(number)?;
+        if let Some(poses) = &self.poses {
+            frame.initial_poses = poses.get(&frame.header.image_id).map(|poses| given_poses(poses)).unwrap_or_default();
+        }
+        if let Some(wanted) = &self.config.only_objects {
+            frame.initial_poses.retain(|pose| wanted.contains(&pose.object_id));
+        }
+        Ok(frame)
+    }
+}
+
+impl Node for PlayerNode {
+    const KIND: &'static str = "player";
+    const ROLE: Role = Role::ReplaySource;
+    type Config = PlayerConfig;
+
+    fn inputs() -> Vec<PortSpec> {
+        Vec::new()
+    }
+
+    fn outputs() -> Vec<PortSpec> {
+        vec![
+            PortSpec::required::<CameraFrame<'static>>("frame"),
+            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
+        ]
+    }
+
+    fn check(config: &PlayerConfig) -> Result<(), NodeError> {
+        if !config.source.exists() {
+            return Err(PlayerError::NoRecording(config.source.clone()).into());
+        }
+        if config.initial_poses.topic.is_some() && config.initial_poses.file.is_some() {
+            return Err("`initial_poses`: both `topic` and `file` are given: leave one out".into());
+        }
+        if config.initial_poses.topic.is_some() && is_bop_scene(&config.source) {
+            return Err("`initial_poses.topic`: a BOP scene has no topics: leave it out, or give `file`".into());
+        }
+        if config.max_frames == Some(0) {
+            return Err("`max_frames: 0`: give at least 1, or leave it out".into());
+        }
+        Ok(())
+    }
+
+    fn create(config: PlayerConfig, _: &Context) -> Result<Self, NodeError> {
+        let objects = config.objects.as_deref().map(ObjectSet::load).transpose()?;
+        let names = objects.iter().flat_map(ObjectSet::iter).map(|o| (o.id, o.name.clone())).collect();
+        let naming =
+            Naming::new(names).map_err(|name| format!("names.json: two objects are called `{name}`: rename one"))?;
+        let source = open(&config, naming)?;
+        let poses = config.initial_poses.file.as_deref().map(read_initial_poses).transpose()?;
+        if let Some(set) = &objects {
+            let sent = poses.as_ref().map_or_else(|| source.objects(), objects_of);
+            check_objects(&config, &sent, &set.ids())?;
+        }
+        log::info!("{}: {} frames", config.source.display(), source.count());
+        Ok(Self { config, source, poses })
+    }
+
+    fn process(&mut self, _: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
+        Ok(())
+    }
+
+    fn produce(&mut self, index: u64, outputs: &mut dyn Outputs, _: &Context) -> Result<Produced, NodeError> {
+        let count = self.config.max_frames.unwrap_or(u64::MAX).min(self.source.count() as u64);
+        if index >= count {
+            return Ok(Produced::End);
+        }
+        let frame = self.load(index as usize)?;
+        let key = FrameKey { index, stamp_ns: frame.stamp_ns };
+        let header = frame.header;
+        let len = CameraFrame::byte_len(header.width, header.height);
+        outputs
+            .send("frame", key, len, &mut |bytes| CameraFrame::write(bytes, header).rgb.copy_from_slice(&frame.rgb))?;
+        let poses = &frame.initial_poses;
+        outputs.send("initial_poses", key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+            ObjectPoses::write(bytes, header.scene_id, header.image_id, poses);
+        })?;
+        Ok(Produced::Frame(key))
+    }
+}

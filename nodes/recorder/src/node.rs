@@ -1,0 +1,283 @@
+use crate::overlay::{OverlayConfig, Painter};
+use crate::topics::{Extras, FrameWriter, Topics, jpeg};
+use pseudoflow_geometry::Intrinsics;
+use pseudoflow_imaging::RgbImage;
+use pseudoflow_msgs::ros::{Header, Time};
+use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses};
+use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Settings of the recorder node.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RecorderConfig {
+    /// Folder of the recording; must not exist yet.
+    pub path: PathBuf,
+    /// Whether the frames themselves are recorded.
+    #[serde(default = "yes")]
+    pub images: bool,
+    /// Quality of the JPEGs, 1 to 100.
+    #[serde(default = "default_quality")]
+    pub jpeg_quality: u8,
+    /// Draws contours on the frames; none without.
+    #[serde(default)]
+    pub overlay: Option<OverlayConfig>,
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn default_quality() -> u8 {
+    90
+}
+
+/// Writes each frame as one chunk: it is in the recording whole or not at all, before it is acknowledged. A restarted
+/// recorder mends what its predecessor left and goes on in the next file of the same recording.
+pub struct RecorderNode {
+    config: RecorderConfig,
+    /// From the first frame on: a run that fails before it leaves nothing behind.
+    open: Option<(BagWriter, Topics)>,
+    /// What a predecessor left, until the first frame of this life.
+    resumed: Option<BagWriter>,
+    recorded: BTreeSet<u32>,
+    painter: Option<Painter>,
+}
+
+impl RecorderNode {
+    fn record(
+        &mut self,
+        inputs: &dyn Inputs,
+        frame: &CameraFrame<'_>,
+        initial: Option<&[ObjectPose]>,
+        poses: &[ObjectPose],
+        sequence: u32,
+    ) -> Result<(), NodeError> {
+        let stamp_ns = inputs.key().stamp_ns;
+        let stamp = Time::from_ns(stamp_ns).ok_or_else(|| format!("stamp {stamp_ns} ns does not fit into ROS time"))?;
+        let header = Header { stamp, frame_id: frame.header.frame_id().to_owned() };
+        let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb.to_vec());
+        let image = image.ok_or("the frame has too few pixels")?;
+        let overlay = self.overlay(image.clone(), frame, initial.unwrap_or_default(), poses)?;
+        let jpeg_quality = self.config.jpeg_quality;
+        let pictures = self.config.overlay.as_ref().and_then(|overlay| overlay.pictures.clone());
+        let extras =
+            Extras { images: self.config.images, initial_poses: initial.is_some(), overlay: overlay.is_some() };
+        let (bag, topics) = self.open(extras)?;
+        let mut writer = FrameWriter { bag, topics, header, stamp_ns, sequence };
+        if extras.images {
+            writer.image(jpeg(&image, jpeg_quality)?, frame.header)?;
+        }
+        if let Some(initial) = initial {
+            writer.initial_poses(initial)?;
+        }
+        writer.poses(poses)?;
+        let overlay = overlay.map(|overlay| jpeg(&overlay, jpeg_quality)).transpose()?;
+        if let Some(bytes) = overlay {
+            // Before the frame counts as recorded: a frame that comes again draws its picture again.
+            pictures.map_or(Ok(()), |folder| picture(&folder, sequence, &bytes))?;
+            writer.overlay(bytes)?;
+        }
+        Ok(bag.end_frame()?)
+    }
+
+    /// The bag, made or taken up when the first frame comes.
+    fn open(&mut self, extras: Extras) -> Result<(&mut BagWriter, &Topics), NodeError> {
+        if self.open.is_none() {
+            let mut bag = match self.resumed.take() {
+                Some(bag) => bag,
+                None => BagWriter::create(&self.config.path, Packing::default())?,
+            };
+            let topics = Topics::add_to(&mut bag, extras)?;
+            self.open = Some((bag, topics));
+        }
+        let (bag, topics) = self.open.as_mut().ok_or("the recording is closed")?;
+        Ok((bag, topics))
+    }
+
+    fn overlay(
+        &self,
+        mut image: RgbImage,
+        frame: &CameraFrame<'_>,
+        initial: &[ObjectPose],
+        poses: &[ObjectPose],
+    ) -> Result<Option<RgbImage>, NodeError> {
+        let Some(painter) = &self.painter else { return Ok(None) };
+        let [fx, fy, cx, cy] = frame.header.intrinsics;
+        painter.paint(&mut image, &Intrinsics { fx, fy, cx, cy }, initial, poses)?;
+        Ok(Some(image))
+    }
+}
+
+/// Writes the picture of a frame beside its place and renames it.
+fn picture(folder: &Path, sequence: u32, jpeg: &[u8]) -> Result<(), NodeError> {
+    std::fs::create_dir_all(folder)?;
+    let path = folder.join(format!("{sequence:06}.jpg"));
+    let beside = path.with_extension("part");
+    std::fs::write(&beside, jpeg)?;
+    Ok(std::fs::rename(&beside, &path)?)
+}
+
+impl Node for RecorderNode {
+    const KIND: &'static str = "recorder";
+    const ROLE: Role = Role::Sink;
+    type Config = RecorderConfig;
+
+    fn inputs() -> Vec<PortSpec> {
+        vec![
+            PortSpec::required::<CameraFrame<'static>>("frame"),
+            PortSpec::required::<ObjectPoses<'static>>("poses"),
+            PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
+        ]
+    }
+
+    fn outputs() -> Vec<PortSpec> {
+        Vec::new()
+    }
+
+    fn check(config: &RecorderConfig) -> Result<(), NodeError> {
+        if !(1..=100).contains(&config.jpeg_quality) {
+            return Err(format!("`jpeg_quality: {}`: give 1..=100", config.jpeg_quality).into());
+        }
+        if let Some(OverlayConfig { objects, .. }) = &config.overlay
+            && !objects.join("models_info.json").is_file()
+        {
+            return Err(format!("`overlay.objects: {}`: no models_info.json there", objects.display()).into());
+        }
+        if config.path.file_name().is_none() {
+            return Err(format!("`path: {}`: give the folder that the recording will be", config.path.display()).into());
+        }
+        Ok(())
+    }
+
+    fn create(config: RecorderConfig, context: &Context) -> Result<Self, NodeError> {
+        let painter = config.overlay.as_ref().map(Painter::open).transpose()?;
+        let mut node = Self { config, open: None, resumed: None, recorded: BTreeSet::new(), painter };
+        let path = &node.config.path;
+        if context.restarts == 0 && path.exists() {
+            return Err(BagError::Exists { path: path.clone() }.into());
+        }
+        if path.exists() {
+            let (bag, resumed) = BagWriter::resume(path, Packing::default())?;
+            log::info!("{}: goes on after {} recorded frames", path.display(), resumed.sequences.len());
+            resumed.mended.iter().for_each(|damage| log::warn!("mended: {damage}"));
+            (node.recorded, node.resumed) = (resumed.sequences, Some(bag));
+        }
+        Ok(node)
+    }
+
+    fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
+        let sequence = u32::try_from(inputs.key().index).map_err(|_| "a recording holds 2^32 frames at most")?;
+        if !self.recorded.insert(sequence) {
+            return Ok(());
+        }
+        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
+        let poses = read::<ObjectPoses<'static>>(inputs, "poses")?;
+        let initial = match inputs.bytes("initial_poses") {
+            Some(_) => Some(read::<ObjectPoses<'static>>(inputs, "initial_poses")?.poses),
+            None => None,
+        };
+        self.record(inputs, &frame, initial, poses.poses, sequence)
+    }
+
+    fn finish(&mut self, _: &Context) -> Result<(), NodeError> {
+        match self.open.take().map(|(bag, _)| bag).or(self.resumed.take()) {
+            Some(bag) => Ok(bag.finish()?),
+            None => {
+                log::warn!("{}: no frame came, so nothing was recorded", self.config.path.display());
+                Ok(())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pseudoflow_msgs::{AlignedBytes, CameraFrameHeader, FrameKey};
+    use pseudoflow_runtime::InMemory;
+    use pseudoflow_runtime::bag::BagReader;
+
+    fn frame(index: u64) -> InMemory {
+        let key = FrameKey { index, stamp_ns: 1_000_000_000 + 33_000_000 * index as i64 };
+        let mut inputs = InMemory::new(key);
+        let mut bytes = AlignedBytes::zeroed(CameraFrame::byte_len(16, 8));
+        let header = CameraFrameHeader {
+            width: 16,
+            height: 8,
+            scene_id: 0,
+            image_id: index as u32,
+            intrinsics: [20.0, 20.0, 8.0, 4.0],
+            frame_id: CameraFrameHeader::frame_id_bytes("camera_optical").unwrap(),
+        };
+        CameraFrame::write(&mut bytes, header).rgb.fill(100);
+        inputs.messages.push(("frame".into(), bytes));
+        let mut bytes = AlignedBytes::zeroed(ObjectPoses::byte_len(0));
+        ObjectPoses::write(&mut bytes, 0, index as u32, &[]);
+        inputs.messages.push(("poses".into(), bytes));
+        inputs
+    }
+
+    fn context(folder: &std::path::Path, restarts: u32) -> Context {
+        Context { name: "recorder".into(), seed: 1, out_dir: folder.to_owned(), restarts, replay: true }
+    }
+
+    fn recorder(folder: &std::path::Path, restarts: u32) -> RecorderNode {
+        let config = RecorderConfig { path: folder.join("run"), images: true, jpeg_quality: 90, overlay: None };
+        RecorderNode::create(config, &context(folder, restarts)).unwrap()
+    }
+
+    #[test]
+    fn a_killed_recorder_loses_and_doubles_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut sink = InMemory::default();
+        let first_life = context(folder.path(), 0);
+        let mut node = recorder(folder.path(), 0);
+        for index in 0..3 {
+            node.process(&frame(index), &mut sink, &first_life).unwrap();
+        }
+        std::mem::forget(node); // killed: nothing is flushed or closed
+        let mut node = recorder(folder.path(), 1);
+        for index in 2..5 {
+            node.process(&frame(index), &mut sink, &first_life).unwrap();
+        }
+        node.finish(&first_life).unwrap();
+        let info = BagReader::open(&folder.path().join("run")).unwrap().info().unwrap();
+        let images = info.topics.iter().find(|t| t.name == "/camera/image/compressed").unwrap();
+        assert_eq!(images.count, 5);
+    }
+
+    #[test]
+    fn a_recording_is_never_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut node = recorder(folder.path(), 0);
+        node.process(&frame(0), &mut InMemory::default(), &context(folder.path(), 0)).unwrap();
+        node.finish(&context(folder.path(), 0)).unwrap();
+        let config = RecorderConfig { path: folder.path().join("run"), images: true, jpeg_quality: 90, overlay: None };
+        assert!(RecorderNode::create(config, &context(folder.path(), 0)).is_err());
+    }
+
+    #[test]
+    fn without_a_frame_nothing_is_left_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        recorder(folder.path(), 0).finish(&context(folder.path(), 0)).unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn the_same_frames_make_the_same_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let recorded = ["a", "b"].map(|name| {
+            let life = context(&folder.path().join(name), 0);
+            let mut node = recorder(&life.out_dir, 0);
+            (0..3).for_each(|index| node.process(&frame(index), &mut InMemory::default(), &life).unwrap());
+            node.finish(&life).unwrap();
+            std::fs::read(life.out_dir.join("run/run_0.mcap")).unwrap()
+        });
+        assert!(recorded[0] == recorded[1]);
+    }
+}

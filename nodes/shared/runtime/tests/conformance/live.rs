@@ -1,0 +1,97 @@
+use crate::scene::{Scene, kill, wait_until};
+use crate::test;
+use libtest_mimic::Trial;
+use pseudoflow_runtime::supervisor::{NodeSummary, Summary};
+use rustix::process::Signal;
+
+/// A camera that is faster than what follows.
+const GRAPH: &str = "
+mode: live
+window: 2
+nodes:
+  camera: {kind: ticker, config: {frames: 300, period_ms: 2, numbers: 100}}
+  slow:   {kind: mixer, inputs: {a: camera/numbers}, config: {delay_ms: 15}}
+  sink:   {kind: keeper, inputs: {numbers: slow/mixed, more: camera/numbers}}
+";
+
+pub(crate) fn tests() -> Vec<Trial> {
+    vec![
+        test("live::the_newest_wins_and_drops_are_counted", newest_wins),
+        test("live::a_graph_that_keeps_up_drops_nothing", keeps_up),
+        test("live::deaths_cost_frames_but_not_the_run", deaths_cost_frames),
+        test("live::a_camera_can_take_the_results", camera_takes_results),
+        test("live::a_recording_plays_at_its_own_pace", recording_is_paced),
+    ]
+}
+
+fn node<'a>(summary: &'a Summary, name: &str) -> &'a NodeSummary {
+    summary.nodes.iter().find(|node| node.name == name).expect("the node")
+}
+
+fn indices(scene: &Scene) -> Vec<u64> {
+    let text = scene.text("sink.txt");
+    text.lines().map(|line| line.split(' ').next().and_then(|n| n.parse().ok()).expect("an index")).collect()
+}
+
+fn newest_wins() {
+    let scene = Scene::new(GRAPH);
+    let summary = scene.run();
+    let (camera, sink, kept) = (node(&summary, "camera"), node(&summary, "sink"), indices(&scene));
+    assert!(kept.windows(2).all(|pair| pair[0] < pair[1]), "out of order: {kept:?}");
+    assert!(camera.drops > 0 && camera.frames + camera.drops == 300, "{camera:?}");
+    let lost: u64 = summary.nodes.iter().map(|node| node.drops).sum();
+    assert_eq!(sink.frames + lost, 300, "every frame is either kept or counted: {summary}");
+    assert_eq!(kept.last(), Some(&299), "the newest frame arrives");
+}
+
+fn keeps_up() {
+    let scene = Scene::new(GRAPH).set("camera.period_ms", "30").set("camera.frames", "30").set("slow.delay_ms", "0");
+    let summary = scene.run();
+    let lost: u64 = summary.nodes.iter().map(|node| node.drops).sum();
+    assert!(lost <= 3 && node(&summary, "sink").frames + lost == 30, "{summary}");
+}
+
+fn deaths_cost_frames() {
+    for victim in ["slow", "sink", "camera"] {
+        let scene = Scene::new(GRAPH);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                wait_until("progress", || scene.lines("sink.txt") >= 5);
+                kill(scene.pid(victim).expect("a pid"), Signal::KILL);
+            });
+            let summary = scene.run();
+            assert_eq!(node(&summary, victim).restarts, 1, "{victim}: {summary}");
+        });
+        assert!(indices(&scene).contains(&299), "{victim}: the run goes on to the last frame");
+    }
+}
+
+fn camera_takes_results() {
+    let scene = Scene::new(
+        "
+mode: live
+window: 2
+nodes:
+  bridge: {kind: ticker, inputs: {results: mixer/mixed}, config: {frames: 50, period_ms: 3}}
+  mixer:  {kind: mixer, inputs: {a: bridge/numbers}}
+",
+    );
+    scene.run();
+    let results: Vec<u64> = scene.text("results.txt").lines().map(|line| line.parse().expect("an index")).collect();
+    assert!(results.len() > 10 && results.is_sorted(), "{results:?}");
+}
+
+fn recording_is_paced() {
+    let scene = Scene::new(
+        "
+mode: live
+nodes:
+  player: {kind: counter, config: {frames: 20, period_ms: 20}}
+  sink:   {kind: keeper, inputs: {numbers: player/numbers}}
+",
+    );
+    let summary = scene.run();
+    let player = node(&summary, "player");
+    let rate = player.rate_hz.expect("a rate");
+    assert!(player.frames + player.drops == 20 && rate < 52.0, "{summary}");
+}
