@@ -37,7 +37,8 @@ proptest! {
         prop_assert_eq!(result.status, PnpStatus::Ok);
         prop_assert!(scene.add_m(&result.camera_from_object) < 1e-4 + 3e-3 * noise_px);
         prop_assert!((result.inlier_ratio - (1.0 - outliers)).abs() < 0.1);
-        prop_assert!(result.rms_px < 1e-3 + 1.6 * noise_px);
+        // A few lost pixels land within the threshold by chance: they add at most sqrt(9 k / inliers).
+        prop_assert!(result.rms_px < 0.3 + 1.6 * noise_px);
     }
 
     #[test]
