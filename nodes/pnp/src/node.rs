@@ -79,7 +79,8 @@ fn accepted(
     };
     let evidence = gate.evidence(&view, &found.camera_from_object, config.blocks_across)?;
     let decision = config.decide(found, &evidence, planes.field.size_px);
-    log::debug!("object {}: gate {}; {evidence:?}", planes.view.pose.object_id, decision.reason);
+    let (object, inliers) = (planes.view.pose.object_id, found.inlier_ratio);
+    log::debug!("object {object}: gate {}; inliers {inliers:.3}; {evidence:?}", decision.reason);
     Ok(decision.accept)
 }
 

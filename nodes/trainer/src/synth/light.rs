@@ -57,8 +57,8 @@ impl Material {
     pub(super) fn of_target(rng: &mut impl Rng) -> Self {
         let gain = rng.uniform32(0.75, 1.15);
         Self {
-            tint: std::array::from_fn(|_| gain * rng.uniform32(0.88, 1.1)),
-            saturation: rng.uniform32(0.6, 1.2),
+            tint: std::array::from_fn(|_| gain * rng.uniform32(0.9, 1.08)),
+            saturation: rng.uniform32(0.75, 1.15),
             contrast: rng.log_uniform32(0.75, 1.3),
             channels: [0, 1, 2],
             gloss: if rng.chance(0.4) { 0.0 } else { rng.log_uniform32(0.01, 0.12) },

@@ -225,7 +225,7 @@ impl<'a> Surroundings<'a> {
     fn draw_thing(&self, rng: &mut impl Rng, objects: &ObjectSet, at: Point3<f64>) -> Result<Thing, ImagingError> {
         let rotation = rng.rotation();
         let chosen = objects.iter().nth(rng.below(objects.len()));
-        if let (Some(object), true) = (chosen, rng.chance(0.4)) {
+        if let (Some(object), true) = (chosen, rng.chance(0.5)) {
             let camera_from_thing = Pose::from_parts(Translation3::from(at - rotation * centre_m(object)), rotation);
             let look = Look { material: Material::of_distractor(rng), pattern: None };
             return Ok(Thing { mesh: Arc::clone(&object.mesh), camera_from_thing, look, in_front: false });

@@ -40,31 +40,34 @@ pub(super) struct Sensor {
 }
 
 impl Sensor {
+    /// Half of the cameras are good ones with mild settings.
     pub(super) fn draw(rng: &mut impl Rng) -> Self {
+        let wild = if rng.chance(0.5) { 0.4 } else { 1.0 };
         let blur_px = match rng.random::<f32>() {
             t if t < 0.65 => rng.uniform32(0.25, 0.8),
-            t if t < 0.93 => rng.uniform32(0.6, 1.3),
+            t if t < 0.93 || wild < 1.0 => rng.uniform32(0.6, 1.3),
             _ => rng.uniform32(1.3, 2.6),
         };
-        let motion = if rng.chance(0.15) { rng.uniform32(0.5, 5.0) } else { 0.0 };
+        let motion = if rng.chance(0.15) { wild * rng.uniform32(0.5, 5.0) } else { 0.0 };
         let angle = rng.uniform32(0.0, std::f32::consts::TAU);
-        let cast = rng.uniform32(-0.22, 0.22);
-        let noise = rng.log_uniform32(0.001, 0.03);
+        let cast = wild * rng.uniform32(-0.2, 0.2);
+        let noise = rng.log_uniform32(0.001, 0.03 * wild);
+        let around_one = |rng: &mut _, spread: f32| (wild * Draw::uniform32(rng, -spread, spread)).exp();
         Self {
-            exposure: rng.log_uniform32(0.09, 0.45),
+            exposure: 0.22 * around_one(rng, 0.75),
             blur_px,
             motion_px: [motion * angle.cos(), motion * angle.sin()],
-            white_balance: [1.0 + cast, 1.0 + rng.uniform32(-0.05, 0.05), 1.0 - cast],
-            saturation: rng.uniform32(0.6, 1.25),
+            white_balance: [1.0 + cast, 1.0 + wild * rng.uniform32(-0.05, 0.05), 1.0 - cast],
+            saturation: 0.92 * around_one(rng, 0.35),
             read_noise: 0.3 * noise,
             shot_noise: noise * noise,
             noise_blur_px: rng.uniform32(0.0, 0.9),
-            gamma: rng.log_uniform32(0.85, 1.2),
-            contrast: rng.uniform32(0.75, 1.3),
-            lift: if rng.chance(0.5) { rng.uniform32(0.0, 0.12) } else { 0.0 },
+            gamma: around_one(rng, 0.18),
+            contrast: around_one(rng, 0.28),
+            lift: if rng.chance(0.5) { wild * rng.uniform32(0.0, 0.12) } else { 0.0 },
             shoulder: if rng.chance(0.5) { rng.random() } else { 0.0 },
             sharpen: if rng.chance(0.35) { rng.uniform32(0.2, 1.2) } else { 0.0 },
-            jpeg_quality: rng.uniform(55.0, 99.0) as u8,
+            jpeg_quality: rng.uniform(60.0, 99.0) as u8,
         }
     }
 
