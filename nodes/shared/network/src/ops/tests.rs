@@ -108,7 +108,8 @@ fn winograd_equals_stock_and_differences() {
             let ours = conv3x3(x.clone(), &Prepared3x3::new(g.clone(), b.clone()), relu);
             let spec = ConvSpec { stride: 1, pad: [1, 1], relu };
             let theirs = stock::conv2d(x.clone(), g.clone(), b.clone(), spec);
-            assert_close("y", &values(ours.clone()), &values(theirs.clone()), 1e-5);
+            // F(4x4, 3x3) rounds a little more than a plain sum.
+            assert_close("y", &values(ours.clone()), &values(theirs.clone()), 5e-5);
             let (ours, theirs) = (weigh(ours).backward(), weigh(theirs).backward());
             assert_close("dx", &grad_of(&x, &ours), &grad_of(&x, &theirs), 1e-4);
             assert_close("dw", &grad_of(&g, &ours), &grad_of(&g, &theirs), 1e-4);
