@@ -5,23 +5,23 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-pub fn root() -> PathBuf {
+pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().expect("the workspace is there")
 }
 
-pub fn pseudoflow() -> Command {
+pub(crate) fn pseudoflow() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pseudoflow"));
     // Discovery on the loopback is enough, and runs beside each other must not meet.
     command.current_dir(root()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF");
     command
 }
 
-pub fn run(args: &[&str]) -> Output {
+pub(crate) fn run(args: &[&str]) -> Output {
     pseudoflow().args(args).output().expect("the binary starts")
 }
 
 /// Overrides that send everything a run of the demo graph writes into `out`.
-pub fn into(out: &Path) -> Vec<String> {
+pub(crate) fn into(out: &Path) -> Vec<String> {
     let out = out.display();
     [
         format!("recorder.path={out}/recording"),
@@ -34,7 +34,7 @@ pub fn into(out: &Path) -> Vec<String> {
 }
 
 /// The lines of `poses.jsonl` by frame.
-pub fn poses(out: &Path) -> BTreeMap<u64, String> {
+pub(crate) fn poses(out: &Path) -> BTreeMap<u64, String> {
     let text = std::fs::read_to_string(out.join("poses.jsonl")).unwrap_or_default();
     let index = |line: &str| line.split("\"index\":").nth(1)?.split(',').next()?.parse().ok();
     text.lines().filter(|line| line.ends_with('}')).filter_map(|line| Some((index(line)?, line.to_owned()))).collect()
