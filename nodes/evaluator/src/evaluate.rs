@@ -90,7 +90,7 @@ fn objects(dataset: &EvalDataset, instances: &BTreeMap<String, Vec<InstanceError
 }
 
 fn add_scores(report: &mut Report, dataset: &EvalDataset, set: &NamedEstimates) {
-    let instances: Vec<&InstanceErrors> = report.instances[&set.name].iter().collect();
+    let instances: Vec<&InstanceErrors> = report.instances.get(&set.name).into_iter().flatten().collect();
     let scored: BTreeMap<(u32, u32), &BTreeMap<u32, u32>> =
         dataset.images.iter().map(|image| ((image.scene_id, image.frame.image_id), &image.targets)).collect();
     let is_target =

@@ -129,6 +129,10 @@ impl Node for EvaluatorNode {
     fn finish(&mut self, _: &Context) -> Result<(), NodeError> {
         let frames = read_frames(&Self::log_path(&self.config))?;
         let (dataset, sets) = dataset(&self.config, &frames)?;
+        if dataset.images.is_empty() {
+            log::warn!("none of {} frames has ground truth: no report", frames.len());
+            return Ok(());
+        }
         let report = evaluate(&dataset, &sets, &|_, _| ())?;
         for set in &report.sets {
             log::info!("{set}: ADD(-S)-0.1d {:.3} of {}", report.overall[set].add_s_recall, report.overall[set].n);
