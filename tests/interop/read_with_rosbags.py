@@ -63,23 +63,24 @@ def check(connection, message, sizes):
         raise AssertionError(f"no check for {connection.msgtype}")
 
 
-def type_store(connection):
+def type_store(connection, bare):
     """A type store from what the bag itself says."""
     assert connection.msgdef.format == MessageDefinitionFormat.MSG, connection
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
     computed = store.hash_rihs01(connection.msgtype)
-    assert computed == connection.digest, f"{connection.topic}: {connection.digest}, computed {computed}"
+    # rosbags takes hashes from metadata.yaml alone: those of a bare file it leaves empty.
+    assert bare or computed == connection.digest, f"{connection.topic}: {connection.digest}, computed {computed}"
     if connection.msgtype in JAZZY.fielddefs:
         jazzy = JAZZY.hash_rihs01(connection.msgtype)
-        assert jazzy == connection.digest, f"{connection.topic}: {connection.digest}, Jazzy has {jazzy}"
+        assert jazzy == computed, f"{connection.topic}: {computed}, Jazzy has {jazzy}"
     return store
 
 
 def main(path, *expected):
     counts, sizes = {}, set()
     with Reader(Path(path)) as reader:
-        stores = {connection.topic: type_store(connection) for connection in reader.connections}
+        stores = {connection.topic: type_store(connection, Path(path).is_file()) for connection in reader.connections}
         counts = {connection.topic: 0 for connection in reader.connections}
         for connection, time_ns, data in reader.messages():
             message = stores[connection.topic].deserialize_cdr(data, connection.msgtype)
