@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # `rosbags` (rosbag2 anew in Python) and rerun read what the recorder writes (two files: it is killed half-way) and the
-# bag of the demo. Needs: the Python packages rosbags, rerun-sdk, pillow and numpy (PYTHON names the interpreter).
+# bag of the demo; what `rosbags` writes, plain and compressed, is played and recorded again. Needs: the Python packages rosbags, rerun-sdk, pillow and numpy (PYTHON names the interpreter).
 set -euo pipefail
 interop=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$interop/../.." && pwd)
@@ -9,6 +9,7 @@ python=${python:-python3}
 target=${CARGO_TARGET_DIR:-$root/target}
 if [ -z "${SKIP_BUILD:-}" ]; then
     cargo build --release --manifest-path "$root/Cargo.toml" -p pseudoflow-recorder --examples
+    cargo build --release --manifest-path "$root/Cargo.toml" -p pseudoflow
 fi
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
@@ -23,4 +24,12 @@ cd "$interop"
 "$python" read_with_rerun.py "$folder/run" /camera/image/compressed /camera/camera_info /overlay/compressed \
     /initial_poses /object_poses /object_pose /tf
 "$python" read_with_rerun.py "$root/bags/tabletop_demo" /camera/image/compressed /camera/camera_info /initial_poses
+
+for compression in "" zstd; do
+    "$python" write_with_rosbags.py "$folder/theirs$compression" $compression
+    "$target/release/pseudoflow" run replay.yaml --out "$folder/run$compression" \
+        --set player.source="$folder/theirs$compression" --set recorder.path="$folder/replayed$compression"
+    "$python" read_with_rosbags.py "$folder/replayed$compression" /camera/image/compressed=10 \
+        /camera/camera_info=10 /object_poses=10
+done
 echo "ok: rosbags and rerun"
