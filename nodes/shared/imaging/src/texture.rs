@@ -67,7 +67,8 @@ impl Texture {
         let length = |d: [f32; 2]| ((d[0] * size[0]).powi(2) + (d[1] * size[1]).powi(2)).sqrt();
         let (along_x, along_y) = (length(d_dx), length(d_dy));
         let (major, minor, axis) = if along_x >= along_y { (along_x, along_y, d_dx) } else { (along_y, along_x, d_dy) };
-        let taps = (major / minor.max(1e-6)).round().clamp(1.0, MAX_TAPS);
+        let taps = ((major / minor.max(1e-6)).min(MAX_TAPS) + 0.5) as i32 as f32;
+        let taps = taps.max(1.0);
         let level = (major / taps).max(1.0).log2();
         if taps < 1.5 {
             return self.trilinear(uv, level);
@@ -101,18 +102,24 @@ impl Level {
     fn bilinear(&self, uv: [f32; 2], repeat: bool) -> [f32; 3] {
         let x = uv[0] * self.width as f32 - 0.5;
         let y = (1.0 - uv[1]) * self.height as f32 - 0.5;
-        let (x_floor, y_floor) = (x.floor(), y.floor());
-        let (tx, ty) = (x - x_floor, y - y_floor);
+        let (x_floor, y_floor) = (floor(x), floor(y));
+        let (tx, ty) = (x - x_floor as f32, y - y_floor as f32);
         let column = |i: i32| bring_inside(i, self.width as i32, repeat);
         let row = |i: i32| bring_inside(i, self.height as i32, repeat) * self.width as usize;
-        let (x0, x1) = (column(x_floor as i32), column(x_floor as i32 + 1));
-        let (y0, y1) = (row(y_floor as i32), row(y_floor as i32 + 1));
+        let (x0, x1) = (column(x_floor), column(x_floor.saturating_add(1)));
+        let (y0, y1) = (row(y_floor), row(y_floor.saturating_add(1)));
         let (a, b, c, d) = (self.data[y0 + x0], self.data[y0 + x1], self.data[y1 + x0], self.data[y1 + x1]);
         let (wa, wb, wc, wd) = ((1.0 - tx) * (1.0 - ty), tx * (1.0 - ty), (1.0 - tx) * ty, tx * ty);
         std::array::from_fn(|k| {
             (wa * f32::from(a[k]) + wb * f32::from(b[k]) + wc * f32::from(c[k]) + wd * f32::from(d[k])) / 255.0
         })
     }
+}
+
+/// The whole number at or below; the standard function is a call into libm on plain x86-64.
+fn floor(value: f32) -> i32 {
+    let towards_zero = value as i32;
+    towards_zero.saturating_sub(i32::from((towards_zero as f32) > value))
 }
 
 fn bring_inside(i: i32, size: i32, repeat: bool) -> usize {

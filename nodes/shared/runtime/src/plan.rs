@@ -20,7 +20,7 @@ pub(crate) struct PlannedNode {
     pub(crate) name: String,
     pub(crate) config: serde_yaml::Value,
     pub(crate) kind: Kind,
-    /// Whether it waits for acknowledgements of: the end of a line.
+    /// Whether a frame is done only when this node has handled it: the end of a line.
     pub(crate) acknowledges: bool,
     pub(crate) inputs: Vec<PlannedInput>,
     pub(crate) outputs: Vec<PlannedOutput>,
@@ -174,10 +174,15 @@ impl<'a> Wiring<'a> {
             Role::Sink | Role::ReplaySource | Role::LiveSource => true,
             Role::Transform => {
                 let mut out = edges.iter().filter(|edge| edge.from == node).peekable();
-                out.peek().is_some() && out.all(|edge| self.graph.is_feedback(edge.output))
+                out.peek().is_some() && out.all(|edge| self.is_feedback(edge))
             }
         };
         joins && ends
+    }
+
+    /// Whether an edge is declared to lead back; edges from the same output to joined inputs lead on.
+    pub(crate) fn is_feedback(&self, edge: &Edge) -> bool {
+        edge.input.latest && self.graph.feedback.contains(edge.output)
     }
 
     fn plan(&self, node: usize) -> PlannedNode {

@@ -36,6 +36,10 @@ pub struct PretrainConfig {
     /// Crop sizes to train at; empty for the network's size alone.
     #[serde(default)]
     pub sizes: Vec<SizeShare>,
+    /// Weight in the loss of foreground whose point is hidden or outside the crop; visible foreground has 1. The
+    /// paper takes 0.
+    #[serde(default)]
+    pub hidden_weight: f64,
     /// Steps between checkpoints.
     #[serde(default = "defaults::checkpoint_every")]
     pub checkpoint_every: u64,
@@ -109,6 +113,7 @@ impl PretrainConfig {
             warm_start: WarmStart::default(),
             iterations: None,
             sizes: Vec::new(),
+            hidden_weight: 0.0,
             checkpoint_every: defaults::checkpoint_every(),
             resume: false,
             data_threads: defaults::data_threads(),
@@ -130,6 +135,7 @@ impl PretrainConfig {
             ("max_lr", self.max_lr > 0.0 && self.max_lr <= 0.1, "a number over 0, at most 0.1"),
             ("iterations", self.iterations.is_none_or(|n| (1..=64).contains(&n)), "1 to 64"),
             ("sizes", self.sizes.iter().all(size_ok), "multiples of 8 from 64 to 1024, with weights over 0"),
+            ("hidden_weight", (0.0..=1.0).contains(&self.hidden_weight), "0 to 1"),
             ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
             ("data_threads", (1..=64).contains(&self.data_threads), "1 to 64"),
         ];

@@ -24,13 +24,18 @@ pub(crate) struct Batch {
 }
 
 impl Batch {
-    fn new(size_px: usize, samples: &[Sample]) -> Self {
+    fn new(size_px: usize, samples: &[Sample], hidden_weight: f32) -> Self {
         let mut batch = Self { size_px, reference: vec![], real: vec![], flow: vec![], mask: vec![], n: samples.len() };
         for sample in samples {
             push_planes(&mut batch.reference, &sample.reference);
             push_planes(&mut batch.real, &sample.real_like);
             (0..2).for_each(|axis| batch.flow.extend(sample.label.flow_px.iter().map(|f| f[axis])));
-            batch.mask.extend(sample.label.visible.iter().map(|v| f32::from(u8::from(*v))));
+            let weight = |(visible, foreground): (&bool, &bool)| match (visible, foreground) {
+                (true, _) => 1.0,
+                (false, true) => hidden_weight,
+                (false, false) => 0.0,
+            };
+            batch.mask.extend(sample.label.visible.iter().zip(&sample.label.foreground).map(weight));
         }
         batch
     }
@@ -79,7 +84,7 @@ fn make(
     let first = step * INDICES_PER_STEP;
     let samples: Vec<Sample> =
         (0..pairs as u64).map(|i| generator.sample(first + i, size_px as u32)).collect::<Result<_, _>>()?;
-    Ok(Batch::new(size_px, &samples))
+    Ok(Batch::new(size_px, &samples, config.hidden_weight as f32))
 }
 
 type Message = Result<Batch, TrainerError>;

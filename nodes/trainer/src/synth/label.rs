@@ -13,6 +13,8 @@ pub struct SyntheticFlow {
     pub size_px: u32,
     /// `flow_ref_to_real`: `S x S` pairs (dx, dy), pixels of the crop, row-major; zero outside the reference's mask.
     pub flow_px: Vec<[f32; 2]>,
+    /// `S x S`: whether the pixel shows the object in the reference and so has a flow.
+    pub foreground: Vec<bool>,
     /// `S x S`: whether the pixel's surface point is visible in the real-like image; the loss is taken there.
     pub visible: Vec<bool>,
 }
@@ -37,11 +39,13 @@ impl SyntheticFlow {
         let real_from_reference = placement.truth_camera_from_object * placement.reference_camera_from_object.inverse();
         let mut flow_px = vec![[0.0_f32; 2]; size * size];
         let mut visible = vec![false; size * size];
+        let mut foreground = vec![false; size * size];
         for index in (0..size * size).filter(|&i| reference.mask[i] != 0) {
             let from = Point2::new((index % size) as f64, (index / size) as f64);
             let point = real_from_reference * k.unproject(&from, f64::from(reference.depth_m[index]));
             let Some(to) = k.project(&point) else { continue };
             flow_px[index] = [(to.x - from.x) as f32, (to.y - from.y) as f32];
+            foreground[index] = true;
             let inside = |v: f64| (0.0..=(size - 1) as f64).contains(&v);
             visible[index] = inside(to.x)
                 && inside(to.y)
@@ -52,7 +56,7 @@ impl SyntheticFlow {
                     SAME_SURFACE * diameter_m,
                 );
         }
-        Self { size_px: crop.size_px, flow_px, visible }
+        Self { size_px: crop.size_px, flow_px, foreground, visible }
     }
 
     /// How many pixels are visible.

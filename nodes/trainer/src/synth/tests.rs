@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// A models/ folder with one cuboid and one coloured pyramid, written to `folder`.
 pub(crate) fn write_objects(folder: &Path) -> PathBuf {
     let info = r#"{"1": {"diameter": 150.0, "min_x": -50, "min_y": -50, "min_z": -25, "size_x": 100, "size_y": 100, "size_z": 50},
-        "4": {"diameter": 116.62, "min_x": -40, "min_y": -30, "min_z": 0, "size_x": 80, "size_y": 60, "size_z": 60}}"#;
+        "4": {"diameter": 100.0, "min_x": -40, "min_y": -30, "min_z": 0, "size_x": 80, "size_y": 60, "size_z": 60}}"#;
     std::fs::write(folder.join("models_info.json"), info).unwrap();
     let corner = |i: i32| format!("{} {} {}", 50 * (2 * (i & 1) - 1), 50 * ((i & 2) - 1), 25 * ((i & 4) / 2 - 1));
     let cube: Vec<String> =

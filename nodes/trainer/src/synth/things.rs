@@ -55,9 +55,11 @@ fn ball(radius_m: f32, half_m: f32) -> Vec<[f32; 2]> {
 fn turned(profile: &[[f32; 2]]) -> Result<Mesh, ImagingError> {
     let mut parts = MeshParts::default();
     for [radius, z] in profile {
+        // The poles of a ball are one point, also where the sine of pi is not quite zero.
+        let radius = if radius.abs() < 1e-6 { 0.0 } else { *radius };
         parts.vertices_m.extend((0..SEGMENTS).map(|s| {
             let (sin, cos) = (std::f32::consts::TAU * s as f32 / SEGMENTS as f32).sin_cos();
-            [radius * cos, radius * sin, *z]
+            [radius * cos + 0.0, radius * sin + 0.0, *z]
         }));
     }
     for ring in 0..profile.len() - 1 {

@@ -18,7 +18,7 @@ pub(super) struct Window {
 /// The window goes this far beyond the crop, so that blur and JPEG blocks are as in a whole image; pixels.
 const MARGIN_PX: f64 = 8.0;
 /// Windows up to this width are rendered with 2 x 2 rays a pixel: far objects have fine edges.
-const FINE_PX: u32 = 170;
+const FINE_PX: u32 = 128;
 
 impl Window {
     /// The window for a crop, cut at the image's border and aligned to its JPEG blocks. At least 16 pixels wide.

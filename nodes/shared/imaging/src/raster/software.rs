@@ -125,7 +125,10 @@ fn place(in_camera: [f32; 3], k: &Intrinsics) -> Vertex {
         return Vertex { in_camera, x: 0, y: 0, inverse_depth: 0.0 };
     }
     let inverse = 1.0 / z;
-    let fixed = |v: f64| (v * SUBPIXELS).round_ties_even().clamp(-FARTHEST, FARTHEST) as i32;
+    let fixed = |v: f64| {
+        let v = (v * SUBPIXELS).clamp(-FARTHEST, FARTHEST);
+        (v + 0.5_f64.copysign(v)) as i32
+    };
     let (x, y) = (fixed(k.fx * x * inverse + k.cx), fixed(k.fy * y * inverse + k.cy));
     Vertex { in_camera, x, y, inverse_depth: inverse as f32 }
 }

@@ -80,7 +80,7 @@ fn gt([a, b, c, d, e, f]: [Pack; 6]) -> [Pack; 3] {
 
 /// Applies a transform to the columns, then to the rows.
 #[inline(always)]
-fn both<const P: usize, const Q: usize>(tile: [[Pack; P]; P], f: fn([Pack; P]) -> [Pack; Q]) -> [[Pack; Q]; Q] {
+fn both<const P: usize, const Q: usize>(tile: [[Pack; P]; P], f: impl Fn([Pack; P]) -> [Pack; Q]) -> [[Pack; Q]; Q] {
     let columns: [[Pack; Q]; P] = std::array::from_fn(|x| f(std::array::from_fn(|y| tile[y][x])));
     std::array::from_fn(|y| f(std::array::from_fn(|x| columns[x][y])))
 }
@@ -98,7 +98,7 @@ pub(crate) fn transform_weights(w: &[f32]) -> Vec<f32> {
                 Pack(lanes)
             })
         });
-        for (f, value) in both::<3, 6>(tile, g).into_iter().flatten().enumerate() {
+        for (f, value) in both(tile, g).into_iter().flatten().enumerate() {
             value.store(&mut u[f * filters + first..][..count]);
         }
     }
@@ -113,7 +113,7 @@ fn transform_weights_back(u: &[f32], stride: usize, dw: &mut [f32]) {
         let count = LANES.min(filters - first);
         let tile =
             std::array::from_fn(|y| std::array::from_fn(|x| Pack::load(&u[(IN * y + x) * stride + first..][..count])));
-        for (k, value) in both::<6, 3>(tile, gt).into_iter().flatten().enumerate() {
+        for (k, value) in both(tile, gt).into_iter().flatten().enumerate() {
             (0..count).for_each(|i| dw[(first + i) * 9 + k] = value.0[i]);
         }
     }
@@ -187,7 +187,13 @@ impl Tiles {
 
     /// Transforms tiles of side P of a padded plane to coefficient rows from tile `first` on.
     #[inline(always)]
-    fn forward<const P: usize>(&self, padded: &[f32], first: usize, f: fn([Pack; P]) -> [Pack; IN], v: &mut [f32]) {
+    fn forward<const P: usize>(
+        &self,
+        padded: &[f32],
+        first: usize,
+        f: impl Fn([Pack; P]) -> [Pack; IN] + Copy,
+        v: &mut [f32],
+    ) {
         let (width, stride) = (self.padded_width(), self.stride());
         for start in (0..self.plane()).step_by(LANES) {
             let count = LANES.min(self.plane() - start);
@@ -214,7 +220,7 @@ impl Tiles {
         v: &[f32],
         stride: usize,
         first: usize,
-        f: fn([Pack; IN]) -> [Pack; Q],
+        f: impl Fn([Pack; IN]) -> [Pack; Q] + Copy,
         padded: &mut [f32],
     ) {
         let width = self.padded_width();
@@ -242,7 +248,7 @@ impl Tiles {
         data: &[f32],
         channels: usize,
         border: usize,
-        f: fn([Pack; P]) -> [Pack; IN],
+        f: impl Fn([Pack; P]) -> [Pack; IN] + Copy + Sync,
     ) -> Vec<f32> {
         let area = self.h * self.w;
         let mut v = vec![0.0; channels * self.channel()];
@@ -267,7 +273,7 @@ impl Tiles {
         v: &[f32],
         channels: usize,
         border: usize,
-        f: fn([Pack; IN]) -> [Pack; Q],
+        f: impl Fn([Pack; IN]) -> [Pack; Q] + Copy + Sync,
         each: impl Fn(usize, &mut [f32]) + Sync,
     ) -> Vec<f32> {
         let area = self.h * self.w;
@@ -334,9 +340,9 @@ impl Kernel for WinogradConv {
         assert_eq!(w.shape, [o, c, 3, 3], "shape of the weights");
         assert_eq!(self.transformed.len(), FREQS * o * c, "length of the transformed weights");
         let tiles = Tiles::new(n, h, wi);
-        let v = tiles.coefficients::<IN>(x.data, c, 1, bt);
+        let v = tiles.coefficients(x.data, c, 1, bt);
         let m = self.multiply([o, c], false, &v, tiles);
-        let data = tiles.planes::<OUT>(&m, o, 0, at, |channel, plane| finish(plane, bias.data[channel], self.relu));
+        let data = tiles.planes(&m, o, 0, at, |channel, plane| finish(plane, bias.data[channel], self.relu));
         (Array { shape: vec![n, o, h, wi], data }, if keep { v } else { Vec::new() })
     }
 
@@ -347,10 +353,10 @@ impl Kernel for WinogradConv {
         let tiles = Tiles::new(n, h, wi);
         let masked = if self.relu { relu_mask(call.grad, call.output.data) } else { Vec::new() };
         let grad = if self.relu { &masked } else { call.grad };
-        let dm = tiles.coefficients::<OUT>(grad, o, 0, a);
+        let dm = tiles.coefficients(grad, o, 0, a);
         let dx = call.wanted[0].then(|| {
             let dv = self.multiply([o, c], true, &dm, tiles);
-            Array { shape: x.shape.to_vec(), data: tiles.planes::<IN>(&dv, c, 1, b, |_, _| ()) }
+            Array { shape: x.shape.to_vec(), data: tiles.planes(&dv, c, 1, b, |_, _| ()) }
         });
         let dw = call.wanted[1].then(|| Self::weight_gradient(&dm, call.kept, w.shape, tiles));
         let db = call.wanted[2].then(|| {

@@ -182,12 +182,12 @@ impl<'a> Check<'a> {
                 let what = format!("`{output}` feeds no input");
                 self.report(None, "feedback", what, "remove it, or connect the output".into());
             }
-            for edge in taken.iter().filter(|edge| !edge.input.latest) {
-                let what = format!("the feedback `{output}` would wait for itself");
-                let remedy = "feedback can only go to inputs that take the latest message".to_owned();
-                self.report(Some(edge.to), &format!("inputs.{}", edge.input.name), what, remedy);
-            }
-            if !taken.is_empty() && !taken.iter().any(|edge| self.reaches(edge.to, edge.from, &edges)) {
+            let back: Vec<&&Edge> = taken.iter().filter(|edge| edge.input.latest).collect();
+            if back.is_empty() && !taken.is_empty() {
+                let what = format!("`{output}` goes only to inputs that wait for its frame");
+                let remedy = "feedback can only go to an input that takes the latest message".to_owned();
+                self.report(None, "feedback", what, remedy);
+            } else if !back.is_empty() && !back.iter().any(|edge| self.reaches(edge.to, edge.from, &edges)) {
                 let what = format!("`{output}` closes no cycle");
                 self.report(None, "feedback", what, "remove it from `feedback`".into());
             }
@@ -210,7 +210,7 @@ impl<'a> Check<'a> {
 
     /// Whether the consumer's output depends on this edge within a frame. What a source takes in ends there.
     fn gates(&self, edge: &Edge) -> bool {
-        !self.wiring.is_source(edge.to) && !self.wiring.graph.is_feedback(edge.output)
+        !self.wiring.is_source(edge.to) && !self.wiring.is_feedback(edge)
     }
 
     /// Takes away nodes that nothing waits for until only cycles are left, then names one.

@@ -46,7 +46,7 @@ pub struct Graph {
     /// How often a node that dies is started again before the run gives up.
     #[serde(default = "default_restarts")]
     pub restarts: u32,
-    /// Outputs (`node/port`) whose way back to an earlier node is meant: they feed `latest` inputs only.
+    /// Outputs (`node/port`) whose way back to an earlier node's `latest` input is meant.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub feedback: Vec<PortRef>,
     /// The nodes by name.
@@ -131,12 +131,6 @@ impl Graph {
     /// When a configuration holds what YAML cannot.
     pub fn to_yaml(&self) -> Result<String, GraphError> {
         serde_yaml::to_string(self).map_err(|source| GraphError::Syntax { file: self.file.clone(), source })
-    }
-
-    /// Whether the edge from this output is declared as feedback.
-    #[must_use]
-    pub fn is_feedback(&self, output: &PortRef) -> bool {
-        self.feedback.contains(output)
     }
 }
 

@@ -157,7 +157,7 @@ fn every_problem_names_file_node_field_and_remedy() {
         (
             "mode: replay",
             "mode: replay\nfeedback: [player/poses]",
-            "g.yaml: node `refiner`: `inputs.poses`: the feedback `player/poses` would wait for itself: feedback can only go to inputs that take the latest message",
+            "g.yaml: `feedback`: `player/poses` goes only to inputs that wait for its frame: feedback can only go to an input that takes the latest message",
         ),
         (
             "  recorder:",
@@ -206,15 +206,16 @@ nodes:
   second:   {kind: refiner, inputs: {frame: player/frame, poses: first/poses}}
   recorder: {kind: recorder, inputs: {poses: second/poses}}
 ";
-    assert!(problem(way_back).contains("waits for itself: first -> second -> first"), "{}", problem(way_back));
-    check(&parse(&way_back.replace("mode: replay", "mode: replay\nfeedback: [second/poses]")), &registry())
-        .unwrap_err();
-    // The recorder joins second/poses, so the declared edge may not be joined anywhere: give it an own producer.
-    let apart = way_back.replace("hint: second/poses", "hint: third/poses").replace(
-        "  recorder:",
-        "  third: {kind: refiner, inputs: {frame: player/frame, poses: second/poses}}\n  recorder:",
-    );
-    check(&parse(&apart.replace("mode: replay", "mode: replay\nfeedback: [third/poses]")), &registry()).unwrap();
+    let text = problem(way_back);
+    assert!(text.contains("waits for itself: second -> first -> second"), "{text}");
+    let declared = way_back.replace("mode: replay", "mode: replay\nfeedback: [second/poses]");
+    check(&parse(&declared), &registry()).unwrap();
+    let text = problem(&declared.replace("hint: second/poses", "hint: player/poses"));
+    assert!(text.contains("`second/poses` goes only to inputs that wait"), "{text}");
+    let forward =
+        GOOD.replace("poses: player/poses}", "hint: player/poses}").replace("mode:", "feedback: [player/poses]\nmode:");
+    let text = problem(&forward);
+    assert!(text.contains("`player/poses` closes no cycle"), "{text}");
     let text = problem(&changed("mode: replay", "mode: replay\nfeedback: [recorder/none]"));
     assert!(text.contains("`recorder/none` feeds no input"), "{text}");
 }

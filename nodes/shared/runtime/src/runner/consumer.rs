@@ -1,4 +1,5 @@
 use super::links::TICK;
+use super::outputs::NoOutputs;
 use super::{Ending, Launch, RunError, Runner};
 use crate::Node;
 use crate::board::{State, Word};
@@ -30,8 +31,7 @@ impl<N: Node> Runner<'_, N> {
     /// Handles all frames that can be handled now.
     pub(super) fn take_frames(&mut self, next: &mut u64) -> Result<(), RunError> {
         loop {
-            let gone = self.intake.drain().map_err(|e| self.launch.ipc_error(e))?;
-            self.launch.board.add(self.launch.me, Word::Drops, gone);
+            self.intake.drain().map_err(|e| self.launch.ipc_error(e))?;
             match self.pick(next) {
                 Some(index) => self.handle(index, next)?,
                 None => return Ok(()),
@@ -67,23 +67,27 @@ impl<N: Node> Runner<'_, N> {
         let Launch { plan, board, me, .. } = self.launch;
         let Some(frame) = self.intake.take(index) else { return Ok(()) };
         let (origin_ns, begin_ns) = (frame.envelope.origin_ns, monotonic_ns());
-        self.outputs.begin(Some(frame.envelope.key()), origin_ns);
         let place = || format!("frame {index}");
-        let done = self.node.process(&frame, &mut self.outputs, &self.context);
-        done.map_err(|error| self.launch.node_error(place(), &error))?;
-        self.outputs.end().map_err(|error| self.launch.error(place(), error.to_string()))?;
-        drop(frame);
-        if plan.nodes[*me].acknowledges {
-            board.set(*me, Word::Acknowledged, index + 1);
+        let node_error = |error| self.launch.node_error(place(), &error);
+        if *me == plan.source {
+            // What a source takes in ends there; its outputs belong to the frame that it is making.
+            self.node.process(&frame, &mut NoOutputs, &self.context).map_err(node_error)?;
+        } else {
+            self.outputs.begin(Some(frame.envelope.key()), origin_ns);
+            self.node.process(&frame, &mut self.outputs, &self.context).map_err(node_error)?;
+            self.outputs.end().map_err(|error| self.launch.error(place(), error.to_string()))?;
         }
+        drop(frame);
         self.links.ring_consumers();
         if plan.nodes[*me].acknowledges {
+            board.set(*me, Word::Acknowledged, index + 1);
             self.links.ring_source();
         }
-        if index < *next {
-            board.add(*me, Word::Repeats, 1);
-        } else {
-            board.count_frame(*me, begin_ns, monotonic_ns(), origin_ns);
+        match index < *next {
+            true => board.add(*me, Word::Repeats, 1),
+            // A source counts what it makes.
+            false if *me != plan.source => board.count_frame(*me, begin_ns, monotonic_ns(), origin_ns),
+            false => {}
         }
         *next = (*next).max(index + 1);
         Ok(())

@@ -42,12 +42,11 @@ impl Intake {
         Ok(Self { joined, latest, join })
     }
 
-    /// Takes all that has come; counts frames that had to go for newer ones.
-    pub(super) fn drain(&mut self) -> Result<u64, IpcError> {
-        let mut gone = 0;
+    /// Takes all that has come.
+    pub(super) fn drain(&mut self) -> Result<(), IpcError> {
         for (input, (_, port)) in self.joined.iter().enumerate() {
             while let Some(message) = port.receive()? {
-                gone += u64::from(self.join.insert(message.envelope().index, input, message));
+                self.join.insert(message.envelope().index, input, message);
             }
         }
         for latest in &mut self.latest {
@@ -55,7 +54,7 @@ impl Intake {
                 latest.message = Some(message);
             }
         }
-        Ok(gone)
+        Ok(())
     }
 
     /// Takes a whole frame out.

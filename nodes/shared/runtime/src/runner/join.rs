@@ -14,21 +14,24 @@ impl<M> Join<M> {
         Self { inputs, most_frames, frames: BTreeMap::new() }
     }
 
-    /// Adds a message; of two for the same place the first stays (they are equal). `true` when the oldest frame
-    /// had to go for it.
-    pub(super) fn insert(&mut self, index: u64, input: usize, message: M) -> bool {
+    /// Adds a message; of two for the same place the first stays (they are equal). The oldest frame goes when there
+    /// are too many.
+    pub(super) fn insert(&mut self, index: u64, input: usize, message: M) {
         let inputs = self.inputs;
         let place = &mut self.frames.entry(index).or_insert_with(|| (0..inputs).map(|_| None).collect())[input];
         if place.is_none() {
             *place = Some(message);
         }
-        self.frames.len() > self.most_frames && self.frames.pop_first().is_some()
+        if self.frames.len() > self.most_frames {
+            self.frames.pop_first();
+        }
     }
 
-    /// Gives up all frames below `index` and counts them.
+    /// Gives up all frames below `index`; counts the whole ones (what never became whole was given up by another).
     pub(super) fn drop_below(&mut self, index: u64) -> u64 {
-        let keep = self.frames.split_off(&index);
-        std::mem::replace(&mut self.frames, keep).len() as u64
+        let whole = self.complete().take_while(|whole| *whole < index).count() as u64;
+        self.frames = self.frames.split_off(&index);
+        whole
     }
 
     fn complete(&self) -> impl DoubleEndedIterator<Item = u64> + '_ {
@@ -58,7 +61,9 @@ mod tests {
     #[test]
     fn a_frame_is_whole_when_every_input_came() {
         let mut join = Join::new(2, 8);
-        assert!(!join.insert(4, 0, "4a") && !join.insert(5, 0, "5a") && !join.insert(5, 1, "5b"));
+        join.insert(4, 0, "4a");
+        join.insert(5, 0, "5a");
+        join.insert(5, 1, "5b");
         assert_eq!((join.first_complete(9), join.first_complete(4), join.last_complete()), (Some(5), None, Some(5)));
         join.insert(4, 0, "another 4a");
         join.insert(4, 1, "4b");
@@ -70,9 +75,12 @@ mod tests {
     #[test]
     fn the_oldest_goes_when_too_many_wait() {
         let mut join = Join::new(2, 2);
-        assert!(!join.insert(1, 0, ()) && !join.insert(2, 0, ()) && join.insert(3, 0, ()));
+        for index in 1..=3 {
+            join.insert(index, 0, ());
+        }
         join.insert(2, 1, ());
         assert_eq!(join.last_complete(), Some(2));
-        assert_eq!(join.drop_below(10), 2);
+        assert_eq!(join.drop_below(10), 1, "one was whole");
+        assert_eq!(join.last_complete(), None);
     }
 }

@@ -15,6 +15,8 @@ pub(super) enum OutputError {
     Twice(&'static str),
     #[error("output `{0}` was not sent: send every connected output for every frame, empty if need be")]
     Missing(&'static str),
+    #[error("output `{0}` was sent while taking results in: a source sends in `produce` or `poll`")]
+    Source(String),
     #[error("output `{port}` was sent for frame {sent} instead of {expected}: pass the frame's own key on")]
     WrongFrame { port: &'static str, sent: u64, expected: u64 },
 }
@@ -136,5 +138,18 @@ impl Outputs for IpcOutputs {
 
     fn is_connected(&self, port: &str) -> bool {
         self.ports.iter().any(|p| p.name == port && p.publisher.is_some())
+    }
+}
+
+/// What a source may send while it takes results in: nothing.
+pub(super) struct NoOutputs;
+
+impl Outputs for NoOutputs {
+    fn send(&mut self, port: &str, _: FrameKey, _: usize, _: &mut dyn FnMut(&mut [u8])) -> Result<(), NodeError> {
+        Err(OutputError::Source(port.to_owned()).into())
+    }
+
+    fn is_connected(&self, _: &str) -> bool {
+        false
     }
 }

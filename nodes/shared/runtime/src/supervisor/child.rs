@@ -80,9 +80,22 @@ pub(super) fn how(status: Option<ExitStatus>) -> String {
         None => "it could not be waited for".to_owned(),
         Some(status) if status.success() => "it ended before the run did".to_owned(),
         Some(status) => match status.signal() {
-            Some(signal) => format!("killed by signal {signal}"),
+            Some(signal) => format!("killed by signal {signal}{}", hint(signal)),
             None => format!("exit code {}", status.code().unwrap_or(-1)),
         },
+    }
+}
+
+/// What a signal mostly means here.
+fn hint(signal: i32) -> &'static str {
+    use signal_hook::consts::{SIGABRT, SIGBUS, SIGKILL, SIGSEGV, SIGTERM};
+    match signal {
+        SIGABRT => ", SIGABRT",
+        SIGBUS => ", SIGBUS: is /dev/shm full? A message takes its size there once per frame in flight",
+        SIGKILL => ", SIGKILL: by hand, or for want of memory",
+        SIGSEGV => ", SIGSEGV",
+        SIGTERM => ", SIGTERM",
+        _ => "",
     }
 }
 
@@ -91,10 +104,12 @@ pub(super) fn how(status: Option<ExitStatus>) -> String {
 pub(super) struct LastWords(VecDeque<String>);
 
 impl LastWords {
-    const MOST: usize = 12;
+    /// Lines kept: a panic's message is followed by its backtrace.
+    const KEPT: usize = 80;
+    const TOLD: usize = 12;
 
     pub(super) fn hear(&mut self, line: &str) {
-        if self.0.len() == Self::MOST {
+        if self.0.len() == Self::KEPT {
             self.0.pop_front();
         }
         self.0.push_back(line.to_owned());
@@ -104,6 +119,28 @@ impl LastWords {
         if self.0.is_empty() {
             return "  (it wrote nothing)".to_owned();
         }
-        self.0.iter().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
+        let last = self.0.len().saturating_sub(Self::TOLD);
+        let panic = self.0.iter().rposition(|line| line.contains("' panicked at ") || line.contains(") panicked at "));
+        let begin = panic.unwrap_or(last);
+        let told = self.0.iter().skip(begin).take(Self::TOLD);
+        told.map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_words_begin_at_the_panic() {
+        let mut words = LastWords::default();
+        assert!(words.text().contains("wrote nothing"));
+        for line in 0..100 {
+            words.hear(&format!("line {line}"));
+        }
+        assert!(words.text().starts_with("  line 88\n") && words.text().ends_with("line 99"), "{}", words.text());
+        words.hear("thread 'main' (7) panicked at src/x.rs:1:2:");
+        (0..20).for_each(|frame| words.hear(&format!("backtrace {frame}")));
+        assert!(words.text().starts_with("  thread 'main' (7) panicked at"), "{}", words.text());
     }
 }
