@@ -59,6 +59,12 @@ impl SyntheticFlow {
         Self { size_px: crop.size_px, flow_px, foreground, visible }
     }
 
+    /// How many pixels of the reference show the object.
+    #[must_use]
+    pub fn foreground_px(&self) -> usize {
+        self.foreground.iter().filter(|v| **v).count()
+    }
+
     /// How many pixels are visible.
     #[must_use]
     pub fn visible_px(&self) -> usize {

@@ -62,7 +62,10 @@ pub struct SampleGenerator {
 }
 
 /// How often a sample whose object is hardly visible is drawn again.
-const ATTEMPTS: u64 = 8;
+const ATTEMPTS: u64 = 16;
+
+/// Samples that show the object on less than this share of the crop teach nothing.
+const LEAST_SHARE: f64 = 0.005;
 
 impl SampleGenerator {
     /// # Errors
@@ -79,7 +82,9 @@ impl SampleGenerator {
     pub fn sample(&self, index: u64, size_px: u32) -> Result<Sample, TrainerError> {
         for attempt in 0..ATTEMPTS {
             let sample = self.attempt(index, attempt, size_px)?;
-            if sample.label.visible_px() * 200 > (size_px * size_px) as usize {
+            let (visible, foreground) = (sample.label.visible_px() as f64, sample.label.foreground_px() as f64);
+            let least = LEAST_SHARE * f64::from(size_px * size_px);
+            if visible >= least.max(self.config.visible_min * foreground) {
                 return Ok(sample);
             }
         }
@@ -105,7 +110,7 @@ impl SampleGenerator {
         let label =
             |visible: &Rendering| SyntheticFlow::of(&reference, visible, &placement, &window, object.diameter_m);
         let mut truth = label(&picture.visible);
-        if (truth.visible_px() as f64) < self.config.visible_min * reference.foreground_px() as f64 {
+        if (truth.visible_px() as f64) < self.config.visible_min * truth.foreground_px() as f64 {
             scene.remove_occluders();
             picture = scene.render(&window);
             truth = label(&picture.visible);
