@@ -17,6 +17,8 @@ use std::time::{Duration, Instant};
 const TICK: Duration = Duration::from_millis(100);
 /// From SIGTERM to SIGKILL.
 const LAST_GRACE: Duration = Duration::from_secs(3);
+/// For taking back what a dead process left.
+const CLEANUP: Duration = Duration::from_secs(2);
 
 /// One node's process, as the supervisor sees it.
 struct Charge {
@@ -184,7 +186,8 @@ impl<'a> Control<'a> {
 
     /// Takes back the ports and memory of processes that died.
     fn reclaim(&self) {
-        let state = self.node.try_cleanup_dead_nodes();
+        // It may have to wait: iceoryx2 lets one thread of a process clean at a time.
+        let state = self.node.blocking_cleanup_dead_nodes(CLEANUP);
         if state.failed_cleanups > 0 {
             log::warn!("{} dead nodes could not be cleaned away yet", state.failed_cleanups);
         }

@@ -78,9 +78,9 @@ fn a_hanging_node() {
     let scene = Scene::new(GRAPH).set("mixer.delay_ms", "60000");
     let mut options = scene.options();
     options.stop_timeout = Duration::from_millis(300);
-    let (stop, file) = (options.stop.clone(), scene.path("mixer.pid"));
+    let (stop, file) = (options.stop.clone(), scene.path("mixer.busy"));
     let stopper = std::thread::spawn(move || {
-        wait_until("the start", || file.exists());
+        wait_until("the work", || file.exists());
         stop.store(true, Ordering::Release);
     });
     let run = pseudoflow_runtime::supervisor::run(&scene.graph, &crate::toys::registry(), &options);

@@ -84,6 +84,9 @@ impl Config {
     fn work(&self, context: &Context, frame: u64) -> Result<(), NodeError> {
         self.meet_fate(context, frame, Place::Before);
         self.meet_fate(context, frame, Place::Panic);
+        if self.delay_ms > 1000 {
+            fs::write(context.out_dir.join(format!("{}.busy", context.name)), "")?;
+        }
         std::thread::sleep(Duration::from_millis(self.delay_ms));
         if self.fail_at == Some(frame) {
             return Err(format!("told to fail at frame {frame}").into());
