@@ -20,7 +20,7 @@ pub enum TrainerError {
     },
     /// No draw of a sample showed enough of its object.
     #[error(
-        "sample {index} of seed {seed}: the object is hardly visible in every try; widen `synth.projected_px` or check that models_info.json and the meshes agree"
+        "sample {index} of seed {seed}: the object is hardly visible in every try; lower `synth.visible_min`, widen `synth.projected_px`, or check that models_info.json and the meshes agree"
     )]
     Invisible {
         /// The data's seed.

@@ -56,7 +56,7 @@ impl Report {
     }
 
     /// A curve for each set, from `points` of its scores and instances.
-    fn curves(&self, points: &dyn Fn(&Scores, &[InstanceErrors]) -> Vec<(f64, f64)>) -> Vec<Series> {
+    fn curves(&self, points: impl Fn(&Scores, &[InstanceErrors]) -> Vec<(f64, f64)>) -> Vec<Series> {
         let series = |set: &String| {
             let (scores, instances) = (self.overall.get(set)?, self.instances.get(set)?);
             Some(Series { name: set.clone(), colour: self.colour(set), points: points(scores, instances) })
@@ -66,12 +66,12 @@ impl Report {
 
     fn recall_curves(&self) -> String {
         let at = |thresholds: [f64; 10], recalls: &[f64; 10]| thresholds.into_iter().zip(*recalls).collect::<Vec<_>>();
-        let of_diameter = self.curves(&|_, all| accuracy(all.iter().map(|i| i.add_s_of_diameter), 0.5));
+        let of_diameter = self.curves(|_, all| accuracy(all.iter().map(|i| i.add_s_of_diameter), 0.5));
         let to_10cm =
-            self.curves(&|_, all| accuracy(all.iter().map(|i| i.add_s_m.map(|m| m * 100.0)), AUC_LIMIT_M * 100.0));
-        let mssd = self.curves(&|s, _| at(mssd_thresholds(), &s.mssd_recalls));
-        let mspd = self.curves(&|s, _| at(mspd_thresholds(), &s.mspd_recalls));
-        let vsd = self.curves(&|s, _| at(vsd_thresholds(), &s.vsd_recalls));
+            self.curves(|_, all| accuracy(all.iter().map(|i| i.add_s_m.map(|m| m * 100.0)), AUC_LIMIT_M * 100.0));
+        let mssd = self.curves(|s, _| at(mssd_thresholds(), &s.mssd_recalls));
+        let mspd = self.curves(|s, _| at(mspd_thresholds(), &s.mspd_recalls));
+        let vsd = self.curves(|s, _| at(vsd_thresholds(), &s.vsd_recalls));
         line_chart("ADD(-S)", "threshold, diameters", 0.5, &of_diameter)
             + &line_chart("ADD(-S) to 10 cm", "threshold, cm", AUC_LIMIT_M * 100.0, &to_10cm)
             + &line_chart("MSSD", "threshold, diameters", 0.5, &mssd)

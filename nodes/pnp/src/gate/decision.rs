@@ -14,9 +14,15 @@ pub struct GateConfig {
     pub blocks_across: usize,
     /// The photometric comparison counts from this many textured blocks on; below it is left out.
     pub min_blocks: usize,
+    /// The photometric comparison can refuse only where the rendering correlates at least this much with the crop at one
+    /// of both poses, 0..1: below it the mesh's texture is not what the camera sees, and the contour decides.
+    pub informative_correlation: f64,
     /// Smallest change of the photometric agreement, -2..2. Slightly negative: equal is not worse.
     pub min_photometric_gain: f64,
-    /// Smallest change of the contrast across the contour, -1..1.
+    /// Smallest agreement of flow and pictures, 0..1.25: the inlier ratio plus half of the photometric gain, the gain taken
+    /// between 0 and 0.5. A pose that few inliers carry has to show its gain in the picture.
+    pub min_agreement: f64,
+    /// Smallest change of the contrast across the contour where the texture says nothing, -1..1.
     pub min_silhouette_gain: f64,
     /// Largest mean displacement of the surface in the crop, as a share of its side.
     pub max_displacement: f64,
@@ -29,10 +35,12 @@ pub struct GateConfig {
 impl Default for GateConfig {
     fn default() -> Self {
         Self {
-            min_inlier_ratio: 0.3,
+            min_inlier_ratio: 0.2,
             blocks_across: 16,
             min_blocks: 4,
-            min_photometric_gain: -0.02,
+            informative_correlation: 0.15,
+            min_photometric_gain: -0.05,
+            min_agreement: 0.65,
             min_silhouette_gain: -0.1,
             max_displacement: 0.25,
             max_rotation_rad: 0.9,
@@ -67,6 +75,8 @@ pub enum GateReason {
     InView(f64, f64),
     /// The rendering agrees less with the crop than before: gain, limit.
     Photometric(f64, f64),
+    /// Few inliers, and no gain in the picture that makes up for it: agreement, limit.
+    Agreement(f64, f64),
     /// The contour lies on less contrast than before: gain, limit.
     Silhouette(f64, f64),
 }
@@ -81,6 +91,7 @@ impl fmt::Display for GateReason {
             Self::Rotation(got, limit) => write!(f, "rotation of {got:.3} rad is over {limit:.3}"),
             Self::InView(got, limit) => write!(f, "share in view {got:.3} is under {limit:.3}"),
             Self::Photometric(got, limit) => write!(f, "photometric gain {got:.4} is under {limit:.4}"),
+            Self::Agreement(got, limit) => write!(f, "agreement of flow and picture {got:.3} is under {limit:.3}"),
             Self::Silhouette(got, limit) => write!(f, "silhouette gain {got:.4} is under {limit:.4}"),
         }
     }
@@ -97,6 +108,8 @@ impl GateConfig {
             ("min_inlier_ratio", self.min_inlier_ratio, share(self.min_inlier_ratio), "in 0..1"),
             ("blocks_across", self.blocks_across as f64, self.blocks_across > 0, "positive"),
             ("min_photometric_gain", self.min_photometric_gain, self.min_photometric_gain.abs() <= 2.0, "in -2..2"),
+            ("informative_correlation", self.informative_correlation, share(self.informative_correlation), "in 0..1"),
+            ("min_agreement", self.min_agreement, (0.0..=1.25).contains(&self.min_agreement), "in 0..1.25"),
             ("min_silhouette_gain", self.min_silhouette_gain, self.min_silhouette_gain.abs() <= 1.0, "in -1..1"),
             ("max_displacement", self.max_displacement, self.max_displacement > 0.0, "positive"),
             ("max_rotation_rad", self.max_rotation_rad, self.max_rotation_rad > 0.0, "positive"),
@@ -132,11 +145,21 @@ impl GateConfig {
             (!passed).then(|| reason(value, limit))
         };
         let textured = evidence.blocks >= self.min_blocks;
+        let best = evidence.photometric_initial.max(evidence.photometric_refined);
+        let informative = textured && best >= self.informative_correlation;
+        let agreement = result.inlier_ratio + if textured { 0.5 * photometric.clamp(0.0, 0.5) } else { 0.0 };
+        let pictures = || {
+            if informative {
+                at_least(photometric, self.min_photometric_gain, GateReason::Photometric)
+            } else {
+                at_least(silhouette, self.min_silhouette_gain, GateReason::Silhouette)
+            }
+        };
         at_least(result.inlier_ratio, self.min_inlier_ratio, GateReason::InlierRatio)
             .or_else(|| at_most(displacement, self.max_displacement, GateReason::Displacement))
             .or_else(|| at_most(evidence.rotation_rad, self.max_rotation_rad, GateReason::Rotation))
             .or_else(|| at_least(evidence.share_in_view, self.min_share_in_view, GateReason::InView))
-            .or_else(|| textured.then(|| at_least(photometric, self.min_photometric_gain, GateReason::Photometric))?)
-            .or_else(|| at_least(silhouette, self.min_silhouette_gain, GateReason::Silhouette))
+            .or_else(pictures)
+            .or_else(|| at_least(agreement, self.min_agreement, GateReason::Agreement))
     }
 }

@@ -111,6 +111,20 @@ fn without_texture_only_the_contour_speaks() {
 }
 
 #[test]
+fn few_inliers_without_a_gain_in_the_picture_are_refused() {
+    let found = evidence(40.0, &initial());
+    let decision = GateConfig::default().decide(&result(0.45), &found, SIZE);
+    assert!(matches!(decision.reason, GateReason::Agreement(..)), "{decision:?}");
+    assert!(GateConfig::default().decide(&result(0.9), &found, SIZE).accept);
+}
+
+#[test]
+fn a_texture_that_the_camera_does_not_see_leaves_it_to_the_contour() {
+    let found = Evidence { photometric_initial: -0.1, photometric_refined: -0.3, ..evidence(40.0, &truth()) };
+    assert!(GateConfig::default().decide(&result(0.9), &found, SIZE).accept);
+}
+
+#[test]
 fn each_limit_can_refuse() {
     let found = evidence(40.0, &truth());
     let config = GateConfig::default();
@@ -119,6 +133,10 @@ fn each_limit_can_refuse() {
     assert!(matches!(refusal(&config, &result(f64::NAN)), GateReason::InlierRatio(..)));
     let failed = PnpResult { status: PnpStatus::NotFinite, ..result(0.9) };
     assert_eq!(refusal(&config, &failed), GateReason::PnpFailed);
+    let needy = GateConfig { min_agreement: 1.2, ..config.clone() };
+    assert!(matches!(refusal(&needy, &result(0.9)), GateReason::Agreement(..)));
+    // What few inliers carry passes by its gain in the picture.
+    assert_eq!(refusal(&config, &result(0.45)), GateReason::Passed);
     let near = GateConfig { max_displacement: 1e-3, ..config.clone() };
     assert!(matches!(refusal(&near, &result(0.9)), GateReason::Displacement(..)));
     let stiff = GateConfig { max_rotation_rad: 1e-3, ..config };

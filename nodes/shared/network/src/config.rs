@@ -98,7 +98,7 @@ impl NetworkConfig {
 
 /// Checks a crop side in px: a multiple of 8 from 64 to 1024.
 pub(crate) fn check_size(size_px: usize) -> Result<()> {
-    if size_px % 8 == 0 && (64..=1024).contains(&size_px) {
+    if size_px.is_multiple_of(8) && (64..=1024).contains(&size_px) {
         return Ok(());
     }
     let problem = format!("is {size_px}; use a multiple of 8 from 64 to 1024");

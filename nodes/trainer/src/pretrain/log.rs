@@ -65,8 +65,11 @@ impl RunLog {
     }
 }
 
+/// Name, colour and points of a curve.
+type Curve<'a> = (&'a str, &'a str, Vec<(f64, f64)>);
+
 /// Axes from 0 to `last` steps and 0 to `top` pixels.
-fn draw(curves: &[(&str, &str, Vec<(f64, f64)>)], top: f64, last: f64) -> String {
+fn draw(curves: &[Curve<'_>], top: f64, last: f64) -> String {
     const W: f64 = 800.0;
     const H: f64 = 400.0;
     let (x, y) = (|step: f64| 60.0 + (W - 80.0) * step / last, |v: f64| H - 40.0 - (H - 60.0) * v / top);

@@ -209,7 +209,7 @@ impl BagWriter {
         self.current.write_custom(&self.custom)?;
         self.channels =
             self.topics.iter().map(|topic| self.current.add_topic(topic)).collect::<Result<_, BagError>>()?;
-        let information = self.information(&[finished.span.clone()])?;
+        let information = self.information(std::slice::from_ref(&finished.span))?;
         self.done.push(finished.finish(information)?);
         Ok(())
     }

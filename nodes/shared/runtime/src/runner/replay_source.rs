@@ -21,7 +21,9 @@ impl<N: Node> Runner<'_, N> {
                 (next, seen) = (acknowledged, generations);
             }
             if launch.board.stop_requested() && launch.board.total().is_none() {
-                launch.board.set_total(next.max(acknowledged));
+                // All that was ever sent, so that every sink ends at the same frame.
+                let sent = launch.board.get(launch.me, Word::Frames);
+                launch.board.set_total(sent.max(next).max(acknowledged));
                 continue;
             }
             let open = !seen.is_empty() && next < acknowledged + launch.plan.window;

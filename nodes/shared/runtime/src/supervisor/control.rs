@@ -260,10 +260,10 @@ fn command(options: &Options) -> Result<Vec<OsString>, SupervisorError> {
     Ok(vec![program.into(), "node".into()])
 }
 
-/// Sends SIGINT and SIGTERM on as events for as long as the guard lives.
+/// Sends SIGINT, SIGTERM and SIGHUP (the terminal is gone) on as events for as long as the guard lives.
 fn forward_signals(events: Sender<Event>) -> Option<SignalGuard> {
-    use signal_hook::consts::{SIGINT, SIGTERM};
-    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    let mut signals = signal_hook::iterator::Signals::new([SIGHUP, SIGINT, SIGTERM])
         .inspect_err(|error| log::warn!("signals cannot be handled: {error}"))
         .ok()?;
     let handle = signals.handle();
