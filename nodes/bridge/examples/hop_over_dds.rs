@@ -36,17 +36,19 @@ fn send(frames: usize) -> Result<(), Error> {
         std::thread::sleep(Duration::from_millis(10));
     }
     std::thread::sleep(Duration::from_millis(500));
+    let pixels = vec![7; 640 * 480 * 3];
     for _ in 0..frames + WARM_UP {
-        let mut image = Image {
-            header: Header { frame_id: "camera".into(), ..Header::default() },
+        // The clock starts before the driver's buffer is copied into the message, as it does in `hop_bench`.
+        let stamp = Time::from_ns(now_ns()?).ok_or("no stamp")?;
+        let image = Image {
+            header: Header { stamp, frame_id: "camera".into() },
             height: 480,
             width: 640,
             encoding: "rgb8".into(),
             is_bigendian: 0,
             step: 640 * 3,
-            data: vec![7; 640 * 480 * 3],
+            data: pixels.clone(),
         };
-        image.header.stamp = Time::from_ns(now_ns()?).ok_or("no stamp")?;
         publisher.publish(image)?;
         std::thread::sleep(Duration::from_millis(20));
     }
