@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 pub struct FlowFieldsHeader {
-    /// Fields in the message, in the order of the views they were computed for.
+    /// Fields in the message: one per view, then one per partner.
     pub fields: u32,
     /// Width and height, pixels.
     pub size_px: u32,
@@ -14,9 +14,10 @@ pub struct FlowFieldsHeader {
     pub weights_version: u64,
 }
 
-/// Flow from each rendered reference to the real crop.
+/// Flow from each rendered reference to the real crop, and from view 0 of each instance to its partners' crops.
 ///
-/// Producer: flow. Consumers: pnp, consistency. Field v belongs to view v of the frame's `ReferenceViews`.
+/// Producer: flow. Consumers: pnp, consistency, trainer. With `V` views, field `v < V` belongs to view v of the frame's
+/// `ReferenceViews` and field `V + p` to its partner p (zero where there is none).
 #[derive(Debug, Clone, Copy)]
 pub struct FlowFields<'a> {
     /// Count, size, weights.

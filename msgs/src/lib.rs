@@ -11,6 +11,7 @@
 //! | [`ObjectPoses`] | player (initial), pnp | renderer, bridge, recorder, evaluator |
 //! | [`ReferenceViews`] | renderer | flow, pnp, (consistency) |
 //! | [`FlowFields`] | flow | pnp, (consistency) |
+//! | [`PartnerFrames`] | player (training) | renderer |
 //! | [`NetworkWeights`] | trainer | flow |
 //!
 //! At the edges ([`ros`]) the same content is ROS 2 messages: in bags and over DDS.
@@ -22,6 +23,7 @@ mod camera_frame;
 mod flow_fields;
 mod network_weights;
 mod object_poses;
+mod partner_frames;
 mod reference_views;
 
 pub use camera_frame::{CameraFrame, CameraFrameHeader, CameraFrameMut, FRAME_ID_BYTES};
@@ -29,7 +31,8 @@ pub use flow_fields::{FlowFields, FlowFieldsHeader, FlowFieldsMut};
 pub use layout::{AlignedBytes, MalformedMessage};
 pub use network_weights::{NetworkWeights, NetworkWeightsHeader};
 pub use object_poses::{ObjectPose, ObjectPoses, ObjectPosesHeader, PoseSource, PoseStatus};
-pub use reference_views::{ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut};
+pub use partner_frames::{PartnerFrame, PartnerFrames, PartnerFramesHeader};
+pub use reference_views::{Partner, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut};
 
 use bytemuck::{Pod, Zeroable};
 

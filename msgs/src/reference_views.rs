@@ -18,6 +18,24 @@ pub struct ReferenceViewsHeader {
     pub image_id: u32,
     /// Objects whose crop could not be made; they stand in `skipped`.
     pub skipped: u32,
+    /// Crops of other frames that go with each instance (training; else 0).
+    pub partners_per_instance: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
+/// Another frame that shows the object from nearly the same side: a partner of the photometric loss (method.md).
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct Partner {
+    /// BOP scene of the other frame.
+    pub scene_id: u32,
+    /// BOP image of the other frame.
+    pub image_id: u32,
+    /// 1 when there is one, 0 when too few frames are near.
+    pub present: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
 /// One rendering: which object, seen how.
@@ -34,9 +52,11 @@ pub struct ReferenceView {
     pub diameter_m: f64,
 }
 
-/// For each object of a frame: the real crop and `n` renderings at and around its initial pose.
+/// For each object of a frame: the real crop and `n` renderings at and around its initial pose; for training also
+/// the crops of `m` partners.
 ///
-/// Producer: renderer. Consumers: flow, pnp, consistency. Instance i owns views `i n .. (i + 1) n`.
+/// Producer: renderer. Consumers: flow, pnp, consistency, trainer. Instance i owns views `i n .. (i + 1) n` and
+/// partners `i m .. (i + 1) m`.
 #[derive(Debug, Clone, Copy)]
 pub struct ReferenceViews<'a> {
     /// Counts and size.
@@ -45,8 +65,12 @@ pub struct ReferenceViews<'a> {
     pub views: &'a [ReferenceView],
     /// Initial poses that got no views, with their reason as status.
     pub skipped: &'a [ObjectPose],
+    /// `instances x m`.
+    pub partners: &'a [Partner],
     /// The real crops: `instances x S x S x 3`, RGB.
     pub real_rgb: &'a [u8],
+    /// The partners' crops around their own initial poses: `instances x m x S x S x 3`, RGB, 0 where absent.
+    pub partner_rgb: &'a [u8],
     /// The renderings: `instances x n x S x S x 3`, RGB.
     pub rgb: &'a [u8],
     /// Depth along z of the renderings, metres, 0 where there is no object: `instances x n x S x S`.
@@ -61,7 +85,9 @@ pub struct ReferenceViews<'a> {
 pub struct ReferenceViewsMut<'a> {
     pub views: &'a mut [ReferenceView],
     pub skipped: &'a mut [ObjectPose],
+    pub partners: &'a mut [Partner],
     pub real_rgb: &'a mut [u8],
+    pub partner_rgb: &'a mut [u8],
     pub rgb: &'a mut [u8],
     pub depth_m: &'a mut [f32],
     pub mask: &'a mut [u8],
@@ -71,6 +97,7 @@ struct Counts {
     instances: usize,
     views: usize,
     skipped: usize,
+    partners: usize,
     pixels: usize,
 }
 
@@ -81,6 +108,7 @@ impl From<&ReferenceViewsHeader> for Counts {
             instances,
             views: instances * header.views_per_instance as usize,
             skipped: header.skipped as usize,
+            partners: instances * header.partners_per_instance as usize,
             pixels: (header.size_px as usize).pow(2),
         }
     }
@@ -95,7 +123,9 @@ impl ReferenceViews<'_> {
             .and::<ReferenceViewsHeader>(1)
             .and::<ReferenceView>(n.views)
             .and::<ObjectPose>(n.skipped)
+            .and::<Partner>(n.partners)
             .and::<u8>(n.instances * n.pixels * 3)
+            .and::<u8>(n.partners * n.pixels * 3)
             .and::<u8>(n.views * n.pixels * 3)
             .and::<f32>(n.views * n.pixels)
             .and::<u8>(n.views * n.pixels)
@@ -113,7 +143,9 @@ impl ReferenceViews<'_> {
         ReferenceViewsMut {
             views: writer.array(n.views),
             skipped: writer.array(n.skipped),
+            partners: writer.array(n.partners),
             real_rgb: writer.array(n.instances * n.pixels * 3),
+            partner_rgb: writer.array(n.partners * n.pixels * 3),
             rgb: writer.array(n.views * n.pixels * 3),
             depth_m: writer.array(n.views * n.pixels),
             mask: writer.array(n.views * n.pixels),
@@ -122,7 +154,7 @@ impl ReferenceViews<'_> {
 }
 
 impl Message for ReferenceViews<'static> {
-    const TYPE_NAME: &'static str = "ReferenceViews@1";
+    const TYPE_NAME: &'static str = "ReferenceViews@2";
     type View<'a> = ReferenceViews<'a>;
 
     fn view(bytes: &[u8]) -> Result<ReferenceViews<'_>, MalformedMessage> {
@@ -133,7 +165,9 @@ impl Message for ReferenceViews<'static> {
             header,
             views: reader.array("views", n.views)?,
             skipped: reader.array("skipped", n.skipped)?,
+            partners: reader.array("partners", n.partners)?,
             real_rgb: reader.array("real_rgb", n.instances * n.pixels * 3)?,
+            partner_rgb: reader.array("partner_rgb", n.partners * n.pixels * 3)?,
             rgb: reader.array("rgb", n.views * n.pixels * 3)?,
             depth_m: reader.array("depth_m", n.views * n.pixels)?,
             mask: reader.array("mask", n.views * n.pixels)?,
@@ -155,16 +189,21 @@ mod tests {
             scene_id: 0,
             image_id: 0,
             skipped: 1,
+            partners_per_instance: 2,
+            reserved: 0,
         };
         let mut bytes = AlignedBytes::zeroed(ReferenceViews::byte_len(&header));
         let message = ReferenceViews::write(&mut bytes, header);
         message.real_rgb.fill(1);
+        message.partner_rgb.fill(5);
         message.rgb.fill(2);
         message.depth_m.fill(3.0);
         message.mask.fill(4);
         let read = ReferenceViews::view(&bytes).unwrap();
         assert_eq!((read.views.len(), read.skipped.len()), (6, 1));
         assert!(read.real_rgb.len() == 150 && read.real_rgb.iter().all(|v| *v == 1));
+        assert!(read.partners.len() == 4 && read.partner_rgb.len() == 300);
+        assert!(read.partner_rgb.iter().all(|v| *v == 5));
         assert!(read.rgb.len() == 450 && read.rgb.iter().all(|v| *v == 2));
         assert!(read.depth_m.len() == 150 && read.depth_m.iter().all(|v| *v == 3.0));
         assert!(read.mask.len() == 150 && read.mask.iter().all(|v| *v == 4));

@@ -14,4 +14,4 @@ mod rten_engine;
 pub use engine::{Backend, EngineConfig, ExecutionProvider, FlowEngine, open};
 pub use error::FlowError;
 pub use images::{interleave, normalise};
-pub use node::{FlowConfig, FlowNode, Network, load_model};
+pub use node::{FlowConfig, FlowNode, Lockstep, Network, load_model};

@@ -27,6 +27,33 @@ pub struct FlowConfig {
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
+    /// Training: which frames wait for which weights. Without it the newest weights are used.
+    #[serde(default)]
+    pub lockstep: Option<Lockstep>,
+}
+
+/// How weights that come back from training are put into use: at frames that are known beforehand, whatever the speed of
+/// anything, so that a run can be repeated to the bit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Lockstep {
+    /// Frames of one training step.
+    pub frames_per_step: u64,
+    /// Training steps between two publications of the teacher.
+    pub publish_every: u64,
+    /// Step that frame 0 belongs to, when a training is resumed.
+    #[serde(default)]
+    pub first_step: u64,
+}
+
+impl Lockstep {
+    /// The publication that labels a frame: the one before the newest that can have come, so that labelling a step need
+    /// not wait for the step before. Its age is `publish_every` to `2 publish_every - 1` steps.
+    #[must_use]
+    pub fn publication_for(&self, frame: u64) -> u64 {
+        let step = self.first_step + frame / self.frames_per_step;
+        (step / self.publish_every).saturating_sub(1)
+    }
 }
 
 /// The networks that weights can belong to.
@@ -85,42 +112,69 @@ pub fn load_model(path: &Path, network: Network, size_px: u32, iterations: u32) 
 pub struct FlowNode {
     config: FlowConfig,
     engine: Box<dyn FlowEngine>,
-    weights_version: u64,
+    /// `None` while those of the start serve.
+    weights_version: Option<u64>,
     reference: Vec<f32>,
     real: Vec<f32>,
     planes: Vec<f32>,
 }
 
+/// Reference and real image of every field, in the order of the message: views, then partners (`None` where absent).
+fn pairs<'a>(views: &ReferenceViews<'a>, values: usize) -> Vec<Option<(&'a [u8], &'a [u8])>> {
+    let (n, m) = (views.header.views_per_instance as usize, views.header.partners_per_instance as usize);
+    let reference = |view: usize| &views.rgb[view * values..(view + 1) * values];
+    let real = |instance: usize| &views.real_rgb[instance * values..(instance + 1) * values];
+    let of_views = (0..views.views.len()).map(|view| Some((reference(view), real(view / n))));
+    let of_partners = views.partners.iter().enumerate().map(|(p, partner)| {
+        let crop = &views.partner_rgb[p * values..(p + 1) * values];
+        (partner.present == 1).then(|| (reference(p / m * n), crop))
+    });
+    of_views.chain(of_partners).collect()
+}
+
 impl FlowNode {
-    /// Runs all views of a frame through the network, `max_batch` at a time.
+    /// Runs all pairs of a frame through the network, `max_batch` at a time. What has no image keeps zero flow.
     fn infer(&mut self, views: &ReferenceViews<'_>) -> Result<(), FlowError> {
         let size_px = self.config.size_px as usize;
-        let values = size_px * size_px * 3;
-        let per_instance = views.header.views_per_instance as usize;
-        self.planes.resize(views.views.len() * size_px * size_px * 2, 0.0);
-        let batch = self.config.max_batch as usize;
-        for (at, planes) in self.planes.chunks_mut(batch * size_px * size_px * 2).enumerate() {
-            let first = at * batch;
-            let n = batch.min(views.views.len() - first);
-            self.reference.resize(n * values, 0.0);
-            self.real.resize(n * values, 0.0);
-            normalise(&views.rgb[first * values..(first + n) * values], size_px, &mut self.reference);
-            for (view, real) in self.real.chunks_exact_mut(values).enumerate() {
-                let instance = (first + view) / per_instance;
-                normalise(&views.real_rgb[instance * values..(instance + 1) * values], size_px, real);
+        let (values, field) = (size_px * size_px * 3, size_px * size_px * 2);
+        let pairs = pairs(views, values);
+        self.planes.clear();
+        self.planes.resize(pairs.len() * field, 0.0);
+        let present: Vec<usize> = (0..pairs.len()).filter(|pair| pairs[*pair].is_some()).collect();
+        let mut flow_px = Vec::new();
+        for batch in present.chunks(self.config.max_batch as usize) {
+            self.reference.resize(batch.len() * values, 0.0);
+            self.real.resize(batch.len() * values, 0.0);
+            flow_px.resize(batch.len() * field, 0.0);
+            let images = batch.iter().filter_map(|pair| pairs[*pair]);
+            let out = self.reference.chunks_exact_mut(values).zip(self.real.chunks_exact_mut(values));
+            for ((reference, real), (reference_out, real_out)) in images.zip(out) {
+                normalise(reference, size_px, reference_out);
+                normalise(real, size_px, real_out);
             }
-            self.engine.run(&self.reference, &self.real, n, size_px, planes)?;
+            self.engine.run(&self.reference, &self.real, batch.len(), size_px, &mut flow_px)?;
+            for (pair, flow_px) in batch.iter().zip(flow_px.chunks_exact(field)) {
+                self.planes[pair * field..(pair + 1) * field].copy_from_slice(flow_px);
+            }
         }
         Ok(())
     }
 
     /// Takes new weights in between two frames. The old engine serves until the new one is ready.
-    fn swap(&mut self, weights: &NetworkWeights<'_>) -> Result<(), FlowError> {
-        if weights.header.version != self.weights_version {
-            self.engine = open(weights.onnx, &self.config.engine)?;
-            self.weights_version = weights.header.version;
-            log::debug!("weights {} of step {} are in use", weights.header.version, weights.header.step);
+    fn swap(&mut self, weights: &NetworkWeights<'_>, frame: u64) -> Result<(), FlowError> {
+        let newest = weights.header.version;
+        let wanted = self.config.lockstep.map_or(newest, |lockstep| lockstep.publication_for(frame));
+        if self.weights_version == Some(wanted) {
+            return Ok(());
         }
+        let onnx = match newest.checked_sub(wanted) {
+            Some(0) => weights.onnx,
+            Some(1) => weights.previous_onnx,
+            _ => return Err(FlowError::Publication { wanted, newest }),
+        };
+        self.engine = open(onnx, &self.config.engine)?;
+        self.weights_version = Some(wanted);
+        log::debug!("publication {wanted} is in use from frame {frame} on");
         Ok(())
     }
 
@@ -159,6 +213,9 @@ impl Node for FlowNode {
         if config.max_batch == 0 {
             return Err("`max_batch: 0`: give at least 1".into());
         }
+        if config.lockstep.is_some_and(|l| l.frames_per_step == 0 || l.publish_every == 0) {
+            return Err("`lockstep`: `frames_per_step` and `publish_every` must be at least 1".into());
+        }
         if !config.model.is_file() {
             let cause = "no such file".to_owned();
             return Err(FlowError::Model { path: config.model.clone(), cause }.into());
@@ -170,14 +227,27 @@ impl Node for FlowNode {
         let onnx = load_model(&config.model, config.network, config.size_px, config.iterations)?;
         let engine = open(&onnx, &config.engine)?;
         log::info!("{} computes flow of {} px with {}", engine.describe(), config.size_px, config.model.display());
-        let mut node = Self { config, engine, weights_version: 0, reference: vec![], real: vec![], planes: vec![] };
+        let (reference, real, planes) = (Vec::new(), Vec::new(), Vec::new());
+        let mut node = Self { config, engine, weights_version: None, reference, real, planes };
         node.warm_up()?;
         Ok(node)
     }
 
+    fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
+        let Some(lockstep) = self.config.lockstep else { return Ok(true) };
+        let wanted = lockstep.publication_for(inputs.key().index);
+        if self.weights_version == Some(wanted) {
+            return Ok(true);
+        }
+        if inputs.bytes("weights").is_none() {
+            return Ok(false);
+        }
+        Ok(read::<NetworkWeights<'static>>(inputs, "weights")?.header.version >= wanted)
+    }
+
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         if inputs.bytes("weights").is_some() {
-            self.swap(&read::<NetworkWeights<'static>>(inputs, "weights")?)?;
+            self.swap(&read::<NetworkWeights<'static>>(inputs, "weights")?, inputs.key().index)?;
         }
         let views = read::<ReferenceViews<'static>>(inputs, "views")?;
         let (size_px, views_px) = (self.config.size_px as usize, views.header.size_px as usize);
@@ -186,9 +256,9 @@ impl Node for FlowNode {
         }
         self.infer(&views)?;
         let header = FlowFieldsHeader {
-            fields: views.views.len() as u32,
+            fields: (views.views.len() + views.partners.len()) as u32,
             size_px: self.config.size_px,
-            weights_version: self.weights_version,
+            weights_version: self.weights_version.unwrap_or(0),
         };
         outputs.send("flow", inputs.key(), FlowFields::byte_len(&header), &mut |bytes| {
             interleave(&self.planes, size_px, FlowFields::write(bytes, header).flow_px);

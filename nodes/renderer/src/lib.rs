@@ -7,6 +7,7 @@
 mod device;
 mod gpu;
 mod node;
+mod partners;
 mod views;
 
 pub use device::{Device, open};

@@ -1,10 +1,11 @@
+use crate::partners::{PartnerCrops, crop_partners};
 use crate::views::{Plan, ViewSettings, plan, with_pose};
 use crate::{Device, open};
 use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::raster::{Rasteriser, Rendering};
 use pseudoflow_imaging::{ObjectSet, RgbImage, resample};
 use pseudoflow_msgs::{
-    CameraFrame, ObjectPoses, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut,
+    CameraFrame, ObjectPoses, PartnerFrames, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut,
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
@@ -59,9 +60,18 @@ pub struct RendererNode {
 }
 
 impl RendererNode {
-    fn fill(&self, message: ReferenceViewsMut<'_>, plan: &Plan, renderings: &[Rendering], crops: &[RgbImage]) {
+    fn fill(
+        &self,
+        message: ReferenceViewsMut<'_>,
+        plan: &Plan,
+        renderings: &[Rendering],
+        crops: &[RgbImage],
+        partners: &PartnerCrops,
+    ) {
         let area = (self.settings.size_px as usize).pow(2);
         message.skipped.copy_from_slice(&plan.skipped);
+        message.partners.copy_from_slice(&partners.partners);
+        message.partner_rgb.copy_from_slice(&partners.rgb);
         for (out, crop) in message.real_rgb.chunks_exact_mut(3 * area).zip(crops) {
             out.copy_from_slice(crop.as_raw());
         }
@@ -96,6 +106,7 @@ impl Node for RendererNode {
         vec![
             PortSpec::required::<CameraFrame<'static>>("frame"),
             PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
+            PortSpec::optional::<PartnerFrames<'static>>("partners"),
         ]
     }
 
@@ -142,6 +153,13 @@ impl Node for RendererNode {
         let renderings = self.rasteriser.render(&plan.rasteriser_views(self.settings.size_px))?;
         let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
         let crops: Vec<RgbImage> = plan.instances.iter().map(|i| resample(&image, &i.crop)).collect();
+        let partners = match inputs.bytes("partners") {
+            Some(_) => {
+                let frames = read::<PartnerFrames<'static>>(inputs, "partners")?;
+                crop_partners(&frames, &plan, &self.objects, &self.settings)?
+            }
+            None => PartnerCrops::default(),
+        };
         let header = ReferenceViewsHeader {
             instances: plan.instances.len() as u32,
             views_per_instance: self.settings.views,
@@ -149,9 +167,11 @@ impl Node for RendererNode {
             scene_id: frame.header.scene_id,
             image_id: frame.header.image_id,
             skipped: plan.skipped.len() as u32,
+            partners_per_instance: partners.per_instance,
+            reserved: 0,
         };
         outputs.send("views", inputs.key(), ReferenceViews::byte_len(&header), &mut |bytes| {
-            self.fill(ReferenceViews::write(bytes, header), &plan, &renderings, &crops);
+            self.fill(ReferenceViews::write(bytes, header), &plan, &renderings, &crops, &partners);
         })
     }
 }

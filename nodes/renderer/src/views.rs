@@ -20,6 +20,8 @@ pub struct ViewSettings {
 /// One instance whose views are to be rendered.
 #[derive(Debug, Clone)]
 pub struct PlannedInstance {
+    /// Its place among the poses that came in.
+    pub place: usize,
     /// The pose that came in.
     pub initial: ObjectPose,
     /// `camera_from_object` of each view; the first is the initial pose.
@@ -69,16 +71,13 @@ pub fn plan(
     rng: &mut impl Rng,
 ) -> Result<Plan, ImagingError> {
     let mut plan = Plan::default();
-    for pose in initial {
+    for (place, pose) in initial.iter().enumerate() {
         let object = objects.get(pose.object_id)?;
         let jitter = Jitter::views(object.diameter_m);
-        let found = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).ok().and_then(|at| {
-            let crop = Crop::around(&object.hull_m, &at, intrinsics, settings.margin, settings.size_px)?;
-            overlaps(&crop, width, height).then_some((at, crop))
-        });
-        match found {
+        match crop_around(pose, objects, intrinsics, (width, height), settings)? {
             None => plan.skipped.push(ObjectPose { status: PoseStatus::NotVisible as u32, ..*pose }),
             Some((at, crop)) => plan.instances.push(PlannedInstance {
+                place,
                 initial: *pose,
                 poses: view_poses(&at, &jitter, settings.views, rng),
                 crop,
@@ -88,6 +87,21 @@ pub fn plan(
         }
     }
     Ok(plan)
+}
+
+/// The crop around an object at a rough pose; `None` when the pose is not one or shows nothing of the image.
+pub(crate) fn crop_around(
+    pose: &ObjectPose,
+    objects: &ObjectSet,
+    intrinsics: &Intrinsics,
+    (width, height): (u32, u32),
+    settings: &ViewSettings,
+) -> Result<Option<(Pose, Crop)>, ImagingError> {
+    let object = objects.get(pose.object_id)?;
+    Ok(pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).ok().and_then(|at| {
+        let crop = Crop::around(&object.hull_m, &at, intrinsics, settings.margin, settings.size_px)?;
+        overlaps(&crop, width, height).then_some((at, crop))
+    }))
 }
 
 /// The initial pose and `views - 1` jittered ones, all in front of the camera.

@@ -149,6 +149,7 @@ fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result
             iterations: args.iterations,
             max_batch: 16,
             engine: EngineConfig { backend, onnxruntime: args.onnxruntime.clone(), ..EngineConfig::default() },
+            lockstep: None,
         },
         pnp,
         passes: args.passes,

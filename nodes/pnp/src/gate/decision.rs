@@ -19,8 +19,8 @@ pub struct GateConfig {
     pub informative_correlation: f64,
     /// Smallest change of the photometric agreement, -2..2. Slightly negative: equal is not worse.
     pub min_photometric_gain: f64,
-    /// Smallest agreement of flow and pictures, 0..1.25: the inlier ratio plus half of the photometric gain, the gain taken
-    /// between 0 and 0.5. A pose that few inliers carry has to show its gain in the picture.
+    /// Smallest agreement of flow and pictures, 0..2: the inlier ratio plus the photometric and the silhouette gain, each
+    /// gain taken between 0 and 0.5. A pose that few inliers carry has to show its gain in the picture.
     pub min_agreement: f64,
     /// Smallest change of the contrast across the contour where the texture says nothing, -1..1.
     pub min_silhouette_gain: f64,
@@ -40,9 +40,9 @@ impl Default for GateConfig {
             min_blocks: 4,
             informative_correlation: 0.15,
             min_photometric_gain: -0.05,
-            min_agreement: 0.65,
+            min_agreement: 0.775,
             min_silhouette_gain: -0.1,
-            max_displacement: 0.25,
+            max_displacement: 0.3,
             max_rotation_rad: 0.9,
             min_share_in_view: 0.5,
         }
@@ -109,7 +109,7 @@ impl GateConfig {
             ("blocks_across", self.blocks_across as f64, self.blocks_across > 0, "positive"),
             ("min_photometric_gain", self.min_photometric_gain, self.min_photometric_gain.abs() <= 2.0, "in -2..2"),
             ("informative_correlation", self.informative_correlation, share(self.informative_correlation), "in 0..1"),
-            ("min_agreement", self.min_agreement, (0.0..=1.25).contains(&self.min_agreement), "in 0..1.25"),
+            ("min_agreement", self.min_agreement, (0.0..=2.0).contains(&self.min_agreement), "in 0..2"),
             ("min_silhouette_gain", self.min_silhouette_gain, self.min_silhouette_gain.abs() <= 1.0, "in -1..1"),
             ("max_displacement", self.max_displacement, self.max_displacement > 0.0, "positive"),
             ("max_rotation_rad", self.max_rotation_rad, self.max_rotation_rad > 0.0, "positive"),
@@ -147,7 +147,8 @@ impl GateConfig {
         let textured = evidence.blocks >= self.min_blocks;
         let best = evidence.photometric_initial.max(evidence.photometric_refined);
         let informative = textured && best >= self.informative_correlation;
-        let agreement = result.inlier_ratio + if textured { 0.5 * photometric.clamp(0.0, 0.5) } else { 0.0 };
+        let seen = if textured { photometric.clamp(0.0, 0.5) } else { 0.0 };
+        let agreement = result.inlier_ratio + seen + silhouette.clamp(0.0, 0.5);
         let pictures = || {
             if informative {
                 at_least(photometric, self.min_photometric_gain, GateReason::Photometric)

@@ -94,6 +94,33 @@ pub trait Node: Sized {
     /// Whatever keeps it from working.
     fn create(config: Self::Config, context: &Context) -> Result<Self, NodeError>;
 
+    /// Called once before the first frame of a process, also after a restart: sends what consumers of `latest` ports must
+    /// have before anything else, under the key of frame 0.
+    ///
+    /// # Errors
+    /// What keeps the node from working.
+    fn begin(&mut self, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
+        let _ = (outputs, context);
+        Ok(())
+    }
+
+    /// Whether a frame can be handled with what has come by `latest` ports. A frame that is not ready is asked for again
+    /// when the next message comes; frames behind it wait.
+    ///
+    /// # Errors
+    /// When no message that may still come could make it ready.
+    fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
+        let _ = inputs;
+        Ok(true)
+    }
+
+    /// Sinks: frames below the returned one are never needed again, even if the process dies now. `handled` is the frame
+    /// after the one that `process` has just returned from. A sink that gathers frames returns less until what it made
+    /// of them is on disk; the window must then hold more frames than it gathers.
+    fn safe_until(&self, handled: u64) -> u64 {
+        handled
+    }
+
     /// Handles one frame: all connected inputs of it are there. Must send each connected output once.
     ///
     /// # Errors

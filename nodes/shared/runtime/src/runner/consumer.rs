@@ -12,8 +12,8 @@ impl<N: Node> Runner<'_, N> {
         loop {
             // Looked at before the inputs are emptied: what a finished producer sent is there by then.
             let last_round = self.producers_finished();
-            self.take_frames(&mut next)?;
-            if last_round {
+            let all_taken = self.take_frames(&mut next)?;
+            if last_round && all_taken {
                 return Ok(Ending::InOrder);
             }
             if self.sleep(TICK)? {
@@ -28,13 +28,14 @@ impl<N: Node> Runner<'_, N> {
         joined.all(|input| board.state(input.producer) == State::Finished)
     }
 
-    /// Handles all frames that can be handled now.
-    pub(super) fn take_frames(&mut self, next: &mut u64) -> Result<(), RunError> {
+    /// Handles all frames that can be handled now; `false` when one waits for a message of a `latest` port.
+    pub(super) fn take_frames(&mut self, next: &mut u64) -> Result<bool, RunError> {
         loop {
             self.intake.drain().map_err(|e| self.launch.ipc_error(e))?;
             match self.pick(next) {
-                Some(index) => self.handle(index, next)?,
-                None => return Ok(()),
+                Some(index) if !self.handle(index, next)? => return Ok(false),
+                Some(_) => {}
+                None => return Ok(true),
             }
         }
     }
@@ -63,12 +64,17 @@ impl<N: Node> Runner<'_, N> {
         Some(index)
     }
 
-    fn handle(&mut self, index: u64, next: &mut u64) -> Result<(), RunError> {
+    fn handle(&mut self, index: u64, next: &mut u64) -> Result<bool, RunError> {
         let Launch { plan, board, me, .. } = self.launch;
-        let Some(frame) = self.intake.take(index) else { return Ok(()) };
+        let Some(frame) = self.intake.take(index) else { return Ok(true) };
         let (origin_ns, begin_ns) = (frame.envelope.origin_ns, monotonic_ns());
         let place = || format!("frame {index}");
         let node_error = |error| self.launch.node_error(place(), &error);
+        if !self.node.ready(&frame).map_err(node_error)? {
+            let messages = frame.into_messages();
+            self.intake.put_back(index, messages);
+            return Ok(false);
+        }
         if *me == plan.source {
             // What a source takes in ends there; its outputs belong to the frame that it is making.
             self.node.process(&frame, &mut NoOutputs, &self.context).map_err(node_error)?;
@@ -80,7 +86,8 @@ impl<N: Node> Runner<'_, N> {
         drop(frame);
         self.links.ring_consumers();
         if plan.nodes[*me].acknowledges {
-            board.set(*me, Word::Acknowledged, index + 1);
+            let safe = self.node.safe_until(index + 1);
+            board.set(*me, Word::Acknowledged, safe.max(board.get(*me, Word::Acknowledged)));
             self.links.ring_source();
         }
         match index < *next {
@@ -90,6 +97,6 @@ impl<N: Node> Runner<'_, N> {
             false => {}
         }
         *next = (*next).max(index + 1);
-        Ok(())
+        Ok(true)
     }
 }

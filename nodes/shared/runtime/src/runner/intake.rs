@@ -63,6 +63,13 @@ impl Intake {
         let envelope = *messages.first()?.envelope();
         Some(Frame { envelope, intake: self, messages })
     }
+
+    /// Takes a whole frame back that could not be handled yet.
+    pub(super) fn put_back(&mut self, index: u64, messages: Vec<Received>) {
+        for (input, message) in messages.into_iter().enumerate() {
+            self.join.insert(index, input, message);
+        }
+    }
 }
 
 /// One frame's messages, read in place.
@@ -70,6 +77,12 @@ pub(super) struct Frame<'a> {
     pub(super) envelope: Envelope,
     intake: &'a Intake,
     messages: Vec<Received>,
+}
+
+impl Frame<'_> {
+    pub(super) fn into_messages(self) -> Vec<Received> {
+        self.messages
+    }
 }
 
 impl Inputs for Frame<'_> {

@@ -176,6 +176,7 @@ pub(crate) fn run<N: Node>(launch: &Launch) -> Result<(), RunError> {
     let config = read_config::<N>(&planned.config).map_err(|error| launch.error(error.field, error.what))?;
     let node = N::create(config, &context).map_err(|error| launch.node_error("start", &error))?;
     let mut runner = connect(launch, context, node)?;
+    runner.begin()?;
     runner.announce();
     let ending = runner.turn()?;
     runner.close(ending)
@@ -191,6 +192,15 @@ fn connect<N: Node>(launch: &Launch, context: Context, node: N) -> Result<Runner
 }
 
 impl<N: Node> Runner<'_, N> {
+    /// What the node sends before its first frame.
+    fn begin(&mut self) -> Result<(), RunError> {
+        self.outputs.begin(None, crate::clock::monotonic_ns());
+        let begun = self.node.begin(&mut self.outputs, &self.context);
+        begun.map_err(|error| self.launch.node_error("start", &error))?;
+        self.links.ring_consumers();
+        Ok(())
+    }
+
     /// From here on the node gets its frames.
     fn announce(&self) {
         let Launch { board, me, .. } = self.launch;
