@@ -1,5 +1,5 @@
 use crate::bag_pass::{Camera, Pass, SeenImage};
-use crate::source::check_sizes;
+use crate::source::{FrameFacts, check_sizes};
 use crate::{FrameSource, LoadedFrame, PlayerError};
 use pseudoflow_imaging::decode_rgb;
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Detection3DArray, Image, Naming, RosMessage, object_poses};
@@ -109,6 +109,10 @@ impl BagSource {
         Ok((message.width, message.height, message.header.frame_id, rgb))
     }
 
+    fn ids(&self, number: usize) -> (u32, u32) {
+        self.bop_ids.get(number).copied().unwrap_or((0, number as u32))
+    }
+
     fn poses_of(&mut self, frame: usize) -> Result<Vec<ObjectPose>, PlayerError> {
         let (Some(topic), Some(number)) = (self.poses_topic, self.frames[frame].poses) else { return Ok(Vec::new()) };
         let array: Detection3DArray = self.reader.read(topic, number)?;
@@ -175,11 +179,17 @@ impl FrameSource for BagSource {
         self.objects.clone()
     }
 
+    fn facts(&mut self, number: usize) -> Result<FrameFacts, PlayerError> {
+        let (scene_id, image_id) = self.ids(number);
+        let intrinsics = self.frames[number].intrinsics;
+        Ok(FrameFacts { scene_id, image_id, intrinsics, initial_poses: self.poses_of(number)? })
+    }
+
     fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {
         let Frame { stamp_ns, intrinsics, .. } = self.frames[number];
         let (width, height, name, rgb) = self.decode(number)?;
         let frame_id = CameraFrameHeader::frame_id_bytes(&name).unwrap_or([0; FRAME_ID_BYTES]); // checked on the pass
-        let (scene_id, image_id) = self.bop_ids.get(number).copied().unwrap_or((0, number as u32));
+        let (scene_id, image_id) = self.ids(number);
         let header = CameraFrameHeader { width, height, scene_id, image_id, intrinsics, frame_id };
         Ok(LoadedFrame { stamp_ns, header, rgb, initial_poses: self.poses_of(number)? })
     }

@@ -1,4 +1,4 @@
-use crate::source::check_sizes;
+use crate::source::{FrameFacts, check_sizes};
 use crate::{FrameSource, LoadedFrame, PlayerError};
 use pseudoflow_geometry::quaternion_xyzw;
 use pseudoflow_imaging::{BopFrame, BopScene, ImagingError, InitialPose, image_size};
@@ -84,6 +84,17 @@ impl FrameSource for BopSource {
             }
         }
         objects
+    }
+
+    fn facts(&mut self, number: usize) -> Result<FrameFacts, PlayerError> {
+        let frame = &self.scene.frames[number];
+        let k = &frame.intrinsics;
+        Ok(FrameFacts {
+            scene_id: self.scene.scene_id,
+            image_id: frame.image_id,
+            intrinsics: [k.fx, k.fy, k.cx, k.cy],
+            initial_poses: given_poses(&frame.initial_poses),
+        })
     }
 
     fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {

@@ -112,6 +112,17 @@ pub enum PlayerError {
         /// The set's objects.
         known: Vec<u32>,
     },
+    /// A training without a sample.
+    #[error(
+        "{path}: none of {frames} frames has an initial pose that can be used: training needs initial poses (a topic, a file, or a \
+         BOP scene's init_poses.json), and `held_out_every` and `budget_frames` must leave frames", path = path.display()
+    )]
+    NothingToSample {
+        /// The first recording.
+        path: PathBuf,
+        /// All frames.
+        frames: usize,
+    },
     /// A selection that leaves nothing.
     #[error("{path}: no image is selected: `every` and `max_frames` must be at least 1, and the scene have images", path = path.display())]
     NothingSelected {

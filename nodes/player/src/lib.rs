@@ -9,6 +9,8 @@ mod bop_source;
 mod error;
 mod from_bop;
 mod node;
+mod sampling;
+mod several;
 mod source;
 
 pub use bag_source::{BagOptions, BagSource};
@@ -16,4 +18,5 @@ pub use bop_source::BopSource;
 pub use error::PlayerError;
 pub use from_bop::{FromBop, from_bop};
 pub use node::{InitialPoses, PlayerConfig, PlayerNode};
-pub use source::{FrameSource, LoadedFrame};
+pub use sampling::{Sample, Sampler, Sampling};
+pub use source::{FrameFacts, FrameSource, LoadedFrame};

@@ -1,8 +1,13 @@
 use crate::bop_source::given_poses;
+use crate::sampling::{Sample, Sampler, Sampling};
+use crate::several::Several;
+use crate::source::FrameFacts;
 use crate::{BagOptions, BagSource, BopSource, FrameSource, LoadedFrame, PlayerError};
 use pseudoflow_imaging::{InitialPose, ObjectSet, read_initial_poses};
 use pseudoflow_msgs::ros::Naming;
-use pseudoflow_msgs::{CameraFrame, FrameKey, ObjectPoses};
+use pseudoflow_msgs::{
+    CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader,
+};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,6 +20,9 @@ use std::path::{Path, PathBuf};
 pub struct PlayerConfig {
     /// A rosbag2 folder, an .mcap file, or a BOP scene folder.
     pub source: PathBuf,
+    /// More recordings, played behind the first.
+    #[serde(default)]
+    pub also: Vec<PathBuf>,
     /// Folder of the object set: poses of other objects are errors.
     #[serde(default)]
     pub objects: Option<PathBuf>,
@@ -36,6 +44,9 @@ pub struct PlayerConfig {
     /// Plays at most this many frames.
     #[serde(default)]
     pub max_frames: Option<u64>,
+    /// Training: frames at random, one instance each, instead of the recording from its begin to its end.
+    #[serde(default)]
+    pub sampling: Option<Sampling>,
 }
 
 /// Where initial poses come from.
@@ -57,18 +68,29 @@ pub struct PlayerNode {
     source: Box<dyn FrameSource>,
     /// Of `initial_poses.file`, by image id.
     poses: Option<BTreeMap<u32, Vec<InitialPose>>>,
+    sampler: Sampler,
 }
 
 fn is_bop_scene(path: &Path) -> bool {
     path.join("scene_camera.json").is_file()
 }
 
-fn open(config: &PlayerConfig, naming: Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
-    if is_bop_scene(&config.source) {
-        return Ok(Box::new(BopSource::open(&config.source)?));
+fn open_all(config: &PlayerConfig, naming: &Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
+    let first = open(config, &config.source, naming.clone())?;
+    if config.also.is_empty() {
+        return Ok(first);
     }
-    if !config.source.exists() {
-        return Err(PlayerError::NoRecording(config.source.clone()));
+    let more = config.also.iter().map(|path| open(config, path, naming.clone()));
+    let all: Result<Vec<_>, _> = std::iter::once(Ok(first)).chain(more).collect();
+    Ok(Box::new(Several(all?)))
+}
+
+fn open(config: &PlayerConfig, path: &Path, naming: Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
+    if is_bop_scene(path) {
+        return Ok(Box::new(BopSource::open(path)?));
+    }
+    if !path.exists() {
+        return Err(PlayerError::NoRecording(path.to_owned()));
     }
     let options = BagOptions {
         image_topic: config.image_topic.clone(),
@@ -77,7 +99,7 @@ fn open(config: &PlayerConfig, naming: Naming) -> Result<Box<dyn FrameSource>, P
         rectified: config.rectified,
         naming,
     };
-    Ok(Box::new(BagSource::open(&config.source, &options)?))
+    Ok(Box::new(BagSource::open(path, &options)?))
 }
 
 /// Objects are known by id: those asked for, and those of all initial poses that will be sent.
@@ -113,13 +135,80 @@ fn objects_of(poses: &BTreeMap<u32, Vec<InitialPose>>) -> BTreeMap<u32, usize> {
 impl PlayerNode {
     fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {
         let mut frame = self.source.load(number)?;
+        self.choose_poses(frame.header.image_id, &mut frame.initial_poses);
+        Ok(frame)
+    }
+
+    fn facts(&mut self, number: usize) -> Result<FrameFacts, PlayerError> {
+        let mut facts = self.source.facts(number)?;
+        self.choose_poses(facts.image_id, &mut facts.initial_poses);
+        Ok(facts)
+    }
+
+    /// The poses of the file where there is one, and only those of wanted objects.
+    fn choose_poses(&self, image_id: u32, initial_poses: &mut Vec<ObjectPose>) {
         if let Some(poses) = &self.poses {
-            frame.initial_poses = poses.get(&frame.header.image_id).map(|poses| given_poses(poses)).unwrap_or_default();
+            *initial_poses = poses.get(&image_id).map(|poses| given_poses(poses)).unwrap_or_default();
         }
         if let Some(wanted) = &self.config.only_objects {
-            frame.initial_poses.retain(|pose| wanted.contains(&pose.object_id));
+            initial_poses.retain(|pose| wanted.contains(&pose.object_id));
         }
-        Ok(frame)
+    }
+
+    fn prepare_sampling(&mut self, sampling: &Sampling, context: &Context) -> Result<(), PlayerError> {
+        let frames: Vec<FrameFacts> =
+            (0..self.source.count()).map(|number| self.facts(number)).collect::<Result<_, _>>()?;
+        self.sampler = Sampler::new(&frames, sampling, &mut context.rng(0, "budget"));
+        if self.sampler.is_empty() {
+            return Err(PlayerError::NothingToSample { path: self.config.source.clone(), frames: frames.len() });
+        }
+        log::info!("{} samples in {} frames", self.sampler.len(), frames.len());
+        Ok(())
+    }
+
+    /// The next frame of a training: its number, and the sample that was drawn; `None` behind the last.
+    fn draw(&mut self, index: u64, context: &Context) -> Option<(usize, Option<Sample>)> {
+        let Some(sampling) = &self.config.sampling else {
+            let count = self.config.max_frames.unwrap_or(u64::MAX).min(self.source.count() as u64);
+            return (index < count).then_some((index as usize, None));
+        };
+        let sample = self.sampler.at(sampling.first + index, |epoch| context.rng(epoch, "epoch"));
+        (index < sampling.samples).then_some((sample.frame, Some(sample)))
+    }
+
+    fn send_partners(
+        &mut self,
+        sample: &Sample,
+        key: FrameKey,
+        outputs: &mut dyn Outputs,
+        context: &Context,
+    ) -> Result<(), NodeError> {
+        let Some(sampling) = self.config.sampling.clone() else { return Ok(()) };
+        let mut rng = context.rng(sampling.first + key.index, "partners");
+        let angle_rad = f64::from(sampling.partner_angle_deg).to_radians();
+        let drawn = self.sampler.partners(sample, sampling.partners, angle_rad, &mut rng);
+        let loaded = drawn.iter().map(|partner| Ok((self.load(partner.frame)?, partner.pose)));
+        let loaded: Vec<(LoadedFrame, usize)> = loaded.collect::<Result<_, PlayerError>>()?;
+        let mut partners: Vec<PartnerFrame> = loaded.iter().map(|(frame, pose)| partner(frame, *pose)).collect();
+        partners.resize(sampling.partners as usize, bytemuck::Zeroable::zeroed());
+        let header = PartnerFramesHeader { instances: 1, partners_per_instance: sampling.partners };
+        outputs.send("partners", key, PartnerFrames::byte_len(&partners), &mut |bytes| {
+            for (out, (frame, _)) in PartnerFrames::write(bytes, header, &partners).zip(&loaded) {
+                out.copy_from_slice(&frame.rgb);
+            }
+        })
+    }
+}
+
+fn partner(frame: &LoadedFrame, pose: usize) -> PartnerFrame {
+    let header = &frame.header;
+    PartnerFrame {
+        pose: frame.initial_poses[pose],
+        intrinsics: header.intrinsics,
+        scene_id: header.scene_id,
+        image_id: header.image_id,
+        width: header.width,
+        height: header.height,
     }
 }
 
@@ -136,12 +225,21 @@ impl Node for PlayerNode {
         vec![
             PortSpec::required::<CameraFrame<'static>>("frame"),
             PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
+            PortSpec::optional::<PartnerFrames<'static>>("partners"),
         ]
     }
 
     fn check(config: &PlayerConfig) -> Result<(), NodeError> {
-        if !config.source.exists() {
-            return Err(PlayerError::NoRecording(config.source.clone()).into());
+        if let Some(path) = std::iter::once(&config.source).chain(&config.also).find(|path| !path.exists()) {
+            return Err(PlayerError::NoRecording(path.clone()).into());
+        }
+        if !config.also.is_empty() && config.initial_poses.file.is_some() {
+            return Err(
+                "`initial_poses.file`: image ids of several recordings cannot be told apart: leave out `also`".into()
+            );
+        }
+        if config.sampling.as_ref().is_some_and(|s| s.held_out_every.is_some_and(|every| every < 2)) {
+            return Err("`sampling.held_out_every`: give at least 2, or leave it out".into());
         }
         if config.initial_poses.topic.is_some() && config.initial_poses.file.is_some() {
             return Err("`initial_poses`: both `topic` and `file` are given: leave one out".into());
@@ -155,32 +253,40 @@ impl Node for PlayerNode {
         Ok(())
     }
 
-    fn create(config: PlayerConfig, _: &Context) -> Result<Self, NodeError> {
+    fn create(config: PlayerConfig, context: &Context) -> Result<Self, NodeError> {
         let objects = config.objects.as_deref().map(ObjectSet::load).transpose()?;
         let names = objects.iter().flat_map(ObjectSet::iter).map(|o| (o.id, o.name.clone())).collect();
         let naming =
             Naming::new(names).map_err(|name| format!("names.json: two objects are called `{name}`: rename one"))?;
-        let source = open(&config, naming)?;
+        let source = open_all(&config, &naming)?;
         let poses = config.initial_poses.file.as_deref().map(read_initial_poses).transpose()?;
         if let Some(set) = &objects {
             let sent = poses.as_ref().map_or_else(|| source.objects(), objects_of);
             check_objects(&config, &sent, &set.ids())?;
         }
         log::info!("{}: {} frames", config.source.display(), source.count());
-        Ok(Self { config, source, poses })
+        let sampling = config.sampling.clone();
+        let mut node = Self { config, source, poses, sampler: Sampler::default() };
+        if let Some(sampling) = sampling {
+            node.prepare_sampling(&sampling, context)?;
+        }
+        Ok(node)
     }
 
     fn process(&mut self, _: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         Ok(())
     }
 
-    fn produce(&mut self, index: u64, outputs: &mut dyn Outputs, _: &Context) -> Result<Produced, NodeError> {
-        let count = self.config.max_frames.unwrap_or(u64::MAX).min(self.source.count() as u64);
-        if index >= count {
-            return Ok(Produced::End);
-        }
-        let frame = self.load(index as usize)?;
+    fn produce(&mut self, index: u64, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
+        let Some((number, sample)) = self.draw(index, context) else { return Ok(Produced::End) };
+        let mut frame = self.load(number)?;
         let key = FrameKey { index, stamp_ns: frame.stamp_ns };
+        if let Some(sample) = &sample {
+            frame.initial_poses = vec![frame.initial_poses[sample.pose]];
+            if outputs.is_connected("partners") {
+                self.send_partners(sample, key, outputs, context)?;
+            }
+        }
         let header = frame.header;
         let len = CameraFrame::byte_len(header.width, header.height);
         outputs

@@ -15,6 +15,19 @@ pub struct LoadedFrame {
     pub initial_poses: Vec<ObjectPose>,
 }
 
+/// What is known of a frame without its image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameFacts {
+    /// BOP scene; 0 where there is none.
+    pub scene_id: u32,
+    /// BOP image; the frame's number where there is none.
+    pub image_id: u32,
+    /// fx, fy, cx, cy, pixels.
+    pub intrinsics: [f64; 4],
+    /// Initial poses that the recording holds for the frame.
+    pub initial_poses: Vec<ObjectPose>,
+}
+
 /// A recording that gives any of its frames.
 pub trait FrameSource: Send {
     /// How many frames there are.
@@ -22,6 +35,12 @@ pub trait FrameSource: Send {
 
     /// The objects of all initial poses, each with the first frame that has one.
     fn objects(&self) -> BTreeMap<u32, usize>;
+
+    /// Frame `number` without its image.
+    ///
+    /// # Errors
+    /// When its poses cannot be read.
+    fn facts(&mut self, number: usize) -> Result<FrameFacts, PlayerError>;
 
     /// Frame `number`, below [`Self::count`].
     ///

@@ -121,6 +121,8 @@ fn config(source: &Path) -> PlayerConfig {
         rectified: false,
         only_objects: None,
         max_frames: None,
+        also: Vec::new(),
+        sampling: None,
     }
 }
 

@@ -30,6 +30,9 @@ pub struct RendererConfig {
     /// What renders.
     #[serde(default)]
     pub device: Device,
+    /// Frames of a training that went before this run: they decide what is drawn at random.
+    #[serde(default)]
+    pub first_frame: u64,
 }
 
 fn default_size_px() -> u32 {
@@ -48,7 +51,14 @@ impl RendererConfig {
     /// The defaults for an object set.
     #[must_use]
     pub fn new(objects: PathBuf, size_px: u32) -> Self {
-        Self { objects, size_px, views: default_views(), margin: default_margin(), device: Device::default() }
+        Self {
+            objects,
+            size_px,
+            views: default_views(),
+            margin: default_margin(),
+            device: Device::default(),
+            first_frame: 0,
+        }
     }
 }
 
@@ -57,6 +67,7 @@ pub struct RendererNode {
     settings: ViewSettings,
     objects: ObjectSet,
     rasteriser: Box<dyn Rasteriser>,
+    first_frame: u64,
 }
 
 impl RendererNode {
@@ -139,7 +150,7 @@ impl Node for RendererNode {
         }
         log::info!("{} renders {} objects at {} px", rasteriser.name(), objects.len(), config.size_px);
         let settings = ViewSettings { size_px: config.size_px, views: config.views, margin: config.margin };
-        Ok(Self { settings, objects, rasteriser })
+        Ok(Self { settings, objects, rasteriser, first_frame: config.first_frame })
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
@@ -148,7 +159,7 @@ impl Node for RendererNode {
         let (width, height) = (frame.header.width, frame.header.height);
         let [fx, fy, cx, cy] = frame.header.intrinsics;
         let intrinsics = Intrinsics { fx, fy, cx, cy };
-        let mut rng = context.rng(inputs.key().index, "views");
+        let mut rng = context.rng(self.first_frame + inputs.key().index, "views");
         let plan = plan(initial.poses, &self.objects, &intrinsics, (width, height), &self.settings, &mut rng)?;
         let renderings = self.rasteriser.render(&plan.rasteriser_views(self.settings.size_px))?;
         let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
