@@ -36,6 +36,6 @@ pub use config::{MinimalSolver, PnpConfig};
 pub use correspondence::{Correspondences, FlowField, PixelBuffer};
 pub use epnp::{EpnpError, epnp};
 pub use error::PnpError;
-pub use node::{PnpNode, PnpNodeConfig};
+pub use node::{Judgement, PnpNode, PnpNodeConfig};
 pub use p3p::p3p;
 pub use solver::{PnpResult, PnpStatus, Solver, UNKNOWN_VARIANCE};

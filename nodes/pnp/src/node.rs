@@ -1,4 +1,4 @@
-use crate::gate::{Gate, GateConfig, GateView};
+use crate::gate::{Evidence, Gate, GateConfig, GateView};
 use crate::{FlowField, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
 use pseudoflow_geometry::{Intrinsics, pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_msgs::{FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
@@ -49,17 +49,68 @@ impl PnpNode {
     }
 
     fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<ObjectPose, NodeError> {
+        let found = self.solve(planes, seed)?;
+        let status = match (&self.config.gate, found.status) {
+            (Some(config), PnpStatus::Ok) if !accepted(planes, &found, config, &mut self.gate)? => PoseStatus::Rejected,
+            (_, status) => message_status(status),
+        };
+        Ok(refined_pose(&planes.view.pose, &found, status))
+    }
+
+    fn solve(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<PnpResult, NodeError> {
         let mut buffer = std::mem::take(&mut self.buffer);
         let correspondences = buffer.fill(&planes.field, usize::MAX)?;
         let camera = planes.field.intrinsics;
         let initial = planes.field.camera_from_object;
         let found = self.solver(planes.field.size_px)?.solve(&correspondences, &camera, &initial, seed);
         self.buffer = buffer;
-        let status = match (&self.config.gate, found.status) {
-            (Some(config), PnpStatus::Ok) if !accepted(planes, &found, config, &mut self.gate)? => PoseStatus::Rejected,
-            (_, status) => message_status(status),
+        Ok(found)
+    }
+
+    /// Refines the instances of a frame and says how well the pictures agree with each pose, without any truth. `seed`
+    /// is that of RANSAC.
+    ///
+    /// # Errors
+    /// When views and flow do not belong together.
+    pub fn judge(
+        &mut self,
+        views: &ReferenceViews<'_>,
+        flow: &FlowFields<'_>,
+        seed: u64,
+    ) -> Result<Vec<Judgement>, NodeError> {
+        let blocks_across = self.config.gate.clone().unwrap_or_default().blocks_across;
+        let judge = |instance: usize| {
+            let planes = planes(views, flow, instance)?;
+            let found = self.solve(&planes, seed)?;
+            let status = message_status(found.status);
+            let evidence = match found.status {
+                PnpStatus::Ok => Some(evidence(&planes, &found, blocks_across, &mut self.gate)?),
+                _ => None,
+            };
+            Ok(Judgement { pose: refined_pose(&planes.view.pose, &found, status), evidence })
         };
-        Ok(refined_pose(&planes.view.pose, &found, status))
+        (0..views.header.instances as usize).map(judge).collect()
+    }
+}
+
+/// A refined pose with what the pictures say about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judgement {
+    /// The pose, its score the inlier ratio.
+    pub pose: ObjectPose,
+    /// `None` when PnP failed.
+    pub evidence: Option<Evidence>,
+}
+
+impl Judgement {
+    /// Agreement of flow and pictures, from -1 to 3: the inlier ratio, the correlation of the rendering with the crop and the
+    /// contrast across the contour, each at the refined pose. 0 when PnP failed. For comparing networks on the same crops.
+    #[must_use]
+    pub fn agreement(&self) -> f64 {
+        let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
+        self.evidence.as_ref().map_or(0.0, |evidence| {
+            self.pose.score + finite(evidence.photometric_refined) + finite(evidence.silhouette_refined)
+        })
     }
 }
 
@@ -69,6 +120,19 @@ fn accepted(
     config: &GateConfig,
     gate: &mut Gate,
 ) -> Result<bool, NodeError> {
+    let evidence = evidence(planes, found, config.blocks_across, gate)?;
+    let decision = config.decide(found, &evidence, planes.field.size_px);
+    let (object, inliers) = (planes.view.pose.object_id, found.inlier_ratio);
+    log::debug!("object {object}: gate {}; inliers {inliers:.3}; {evidence:?}", decision.reason);
+    Ok(decision.accept)
+}
+
+fn evidence(
+    planes: &ViewPlanes<'_>,
+    found: &PnpResult,
+    blocks_across: usize,
+    gate: &mut Gate,
+) -> Result<Evidence, NodeError> {
     let view = GateView {
         size_px: planes.field.size_px,
         reference_rgb: planes.reference_rgb,
@@ -77,11 +141,7 @@ fn accepted(
         intrinsics: planes.field.intrinsics,
         initial: planes.field.camera_from_object,
     };
-    let evidence = gate.evidence(&view, &found.camera_from_object, config.blocks_across)?;
-    let decision = config.decide(found, &evidence, planes.field.size_px);
-    let (object, inliers) = (planes.view.pose.object_id, found.inlier_ratio);
-    log::debug!("object {object}: gate {}; inliers {inliers:.3}; {evidence:?}", decision.reason);
-    Ok(decision.accept)
+    Ok(gate.evidence(&view, &found.camera_from_object, blocks_across)?)
 }
 
 fn message_status(status: PnpStatus) -> PoseStatus {
@@ -159,7 +219,9 @@ impl Node for PnpNode {
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let views = read::<ReferenceViews<'static>>(inputs, "views")?;
         let flow = read::<FlowFields<'static>>(inputs, "flow")?;
-        if flow.header.fields as usize != views.views.len() || flow.header.size_px != views.header.size_px {
+        if flow.header.fields as usize != views.views.len() + views.partners.len()
+            || flow.header.size_px != views.header.size_px
+        {
             return Err(
                 "views and flow do not belong together: connect `flow` to the node that took the same `views`".into()
             );

@@ -125,6 +125,17 @@ fn a_texture_that_the_camera_does_not_see_leaves_it_to_the_contour() {
 }
 
 #[test]
+fn the_contour_can_carry_a_pose_of_few_inliers() {
+    let plain = Evidence { photometric_initial: 0.0, photometric_refined: 0.0, ..evidence(40.0, &initial()) };
+    let decide = |silhouette_refined: f64| {
+        let found = Evidence { silhouette_initial: 0.4, silhouette_refined, ..plain };
+        GateConfig::default().decide(&result(0.45), &found, SIZE)
+    };
+    assert!(matches!(decide(0.5).reason, GateReason::Agreement(..)));
+    assert!(decide(0.9).accept);
+}
+
+#[test]
 fn each_limit_can_refuse() {
     let found = evidence(40.0, &truth());
     let config = GateConfig::default();
@@ -133,7 +144,7 @@ fn each_limit_can_refuse() {
     assert!(matches!(refusal(&config, &result(f64::NAN)), GateReason::InlierRatio(..)));
     let failed = PnpResult { status: PnpStatus::NotFinite, ..result(0.9) };
     assert_eq!(refusal(&config, &failed), GateReason::PnpFailed);
-    let needy = GateConfig { min_agreement: 1.2, ..config.clone() };
+    let needy = GateConfig { min_agreement: 2.0, ..config.clone() };
     assert!(matches!(refusal(&needy, &result(0.9)), GateReason::Agreement(..)));
     // What few inliers carry passes by its gain in the picture.
     assert_eq!(refusal(&config, &result(0.45)), GateReason::Passed);
