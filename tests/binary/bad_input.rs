@@ -46,6 +46,17 @@ fn play(bag: &Path) -> String {
 }
 
 #[test]
+fn every_graph_that_is_shipped_has_no_problem() {
+    let graphs = std::fs::read_dir(common::root().join("config/graphs")).expect("the graphs");
+    let graphs: Vec<_> = graphs.flatten().map(|entry| entry.path()).collect();
+    assert!(graphs.len() >= 3, "{graphs:?}");
+    for graph in graphs {
+        let output = run(&["check", graph.to_str().expect("utf-8")]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+}
+
+#[test]
 fn unknown_keys_and_files_that_are_not_there() {
     assert_says(&check_with("renderer.sise_px=128"), &["renderer", "sise_px"]);
     assert_says(&check_with("flow.model=nowhere.safetensors"), &["flow", "nowhere.safetensors"]);

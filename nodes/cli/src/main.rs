@@ -54,8 +54,9 @@ fn registry() -> Registry {
         .with::<pseudoflow_recorder::RecorderNode>()
 }
 
-/// Quiet libraries: RustDDS speaks about each datagram it cannot use.
-const LOG_FILTER: &str = "info,rustdds=error,rustdds::dds::pubsub=off,ros2_client=error,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,ort=warn";
+/// Quiet libraries: RustDDS calls each datagram that it cannot use an error.
+const LOG_FILTER: &str =
+    "info,rustdds=off,ros2_client=error,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,ort=warn";
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or(LOG_FILTER)).init();

@@ -3,7 +3,10 @@
 
 use anyhow::{Context as _, Result, anyhow};
 use pseudoflow_flow::{FlowConfig, FlowNode};
-use pseudoflow_msgs::{AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, Message, ObjectPose, ObjectPoses};
+use pseudoflow_msgs::{
+    AlignedBytes, CameraFrame, CameraFrameHeader, FlowFields, FrameKey, Message, ObjectPose, ObjectPoses,
+    ReferenceViews,
+};
 use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
@@ -41,6 +44,17 @@ pub(crate) struct Refined {
     pub(crate) stages: [Duration; 3],
 }
 
+/// One instance: its refined pose, what the pictures say about it, and the crop that it was refined in.
+#[derive(Debug, Clone)]
+pub(crate) struct Judged {
+    pub(crate) pose: ObjectPose,
+    pub(crate) agreement: f64,
+    pub(crate) photometric: f64,
+    pub(crate) silhouette: f64,
+    /// x0, y0 (edges), side in image pixels.
+    pub(crate) crop: [f64; 3],
+}
+
 fn boxed(error: pseudoflow_runtime::NodeError) -> anyhow::Error {
     anyhow!("{error}")
 }
@@ -75,6 +89,28 @@ impl Pipeline {
             refined.passes.push(poses.clone());
         }
         Ok(refined)
+    }
+
+    /// Refines a frame (`frame` and `initial_poses` are among the messages) and judges each pose without truth.
+    pub(crate) fn judge(&mut self, messages: &InMemory) -> Result<Vec<Judged>> {
+        let mut messages = InMemory { key: messages.key, messages: messages.messages.clone() };
+        self.renderer.step(&mut messages, &self.context).context("node renderer")?;
+        self.flow.step(&mut messages, &self.context).context("node flow")?;
+        let bytes = |port: &str| {
+            let found = messages.messages.iter().find(|(name, _)| name == port);
+            found.map(|(_, bytes)| bytes).with_context(|| format!("no node sent `{port}`"))
+        };
+        let views = ReferenceViews::view(bytes("views")?)?;
+        let flow = FlowFields::view(bytes("flow")?)?;
+        let judgements = self.pnp.judge(&views, &flow, self.context.seed).map_err(boxed).context("node pnp")?;
+        let per_instance = views.header.views_per_instance as usize;
+        let judged = judgements.into_iter().zip(views.views.iter().step_by(per_instance)).map(|(judgement, view)| {
+            let (photometric, silhouette) =
+                judgement.evidence.map_or((0.0, 0.0), |e| (e.photometric_refined, e.silhouette_refined));
+            let agreement = judgement.agreement();
+            Judged { pose: judgement.pose, agreement, photometric, silhouette, crop: view.crop }
+        });
+        Ok(judged.collect())
     }
 
     fn pass(

@@ -62,6 +62,25 @@ pub struct InitialPoses {
     pub file: Option<PathBuf>,
 }
 
+impl PlayerConfig {
+    /// Plays a recording with the defaults.
+    #[must_use]
+    pub fn new(source: PathBuf) -> Self {
+        Self {
+            source,
+            also: Vec::new(),
+            objects: None,
+            initial_poses: InitialPoses::default(),
+            image_topic: None,
+            camera_info_topic: None,
+            rectified: false,
+            only_objects: None,
+            max_frames: None,
+            sampling: None,
+        }
+    }
+}
+
 /// Plays a recording: camera frames and initial poses, any frame again when asked.
 pub struct PlayerNode {
     config: PlayerConfig,
@@ -133,6 +152,12 @@ fn objects_of(poses: &BTreeMap<u32, Vec<InitialPose>>) -> BTreeMap<u32, usize> {
 }
 
 impl PlayerNode {
+    /// Frames of the recordings.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.source.count()
+    }
+
     fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {
         let mut frame = self.source.load(number)?;
         self.choose_poses(frame.header.image_id, &mut frame.initial_poses);

@@ -45,6 +45,19 @@ fn default_angle_deg() -> u32 {
 }
 
 impl Sampling {
+    /// Holds every n-th frame out; for those who look at the held-out ones.
+    #[must_use]
+    pub fn holding_out(every: u64) -> Self {
+        Self {
+            samples: 0,
+            first: 0,
+            partners: default_partners(),
+            partner_angle_deg: default_angle_deg(),
+            held_out_every: Some(every),
+            budget_frames: None,
+        }
+    }
+
     /// Whether a frame is left out of the training.
     #[must_use]
     pub fn is_held_out(&self, number: usize) -> bool {

@@ -1,4 +1,4 @@
-use crate::gpu::{AdapterChoice, GpuRasteriser, adapters};
+use crate::gpu::{AdapterChoice, GpuRasteriser};
 use pseudoflow_imaging::raster::{RasterError, Rasteriser, SoftwareRasteriser};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,7 +28,7 @@ pub fn open(device: Device) -> Result<Box<dyn Rasteriser>, RasterError> {
         Device::Auto => match GpuRasteriser::open(AdapterChoice::Hardware) {
             Ok(gpu) => Box::new(gpu),
             Err(reason) => {
-                log::info!("renderer: device auto found no graphics adapter among {:?} ({reason})", adapters());
+                log::info!("renderer: device auto takes the software rasteriser ({reason})");
                 Box::new(SoftwareRasteriser::new())
             }
         },

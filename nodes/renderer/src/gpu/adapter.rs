@@ -25,9 +25,14 @@ pub fn adapters() -> Vec<String> {
     enumerate().iter().map(|a| describe(&a.get_info())).collect()
 }
 
+/// Vulkan, Metal and DirectX first; OpenGL, whose drivers print about missing displays, only where these offer nothing.
 fn enumerate() -> Vec<Adapter> {
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
-    pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
+    let of = |backends: wgpu::Backends| {
+        let descriptor =
+            wgpu::InstanceDescriptor { backends, ..wgpu::InstanceDescriptor::new_without_display_handle() };
+        pollster::block_on(wgpu::Instance::new(descriptor).enumerate_adapters(backends))
+    };
+    Some(of(wgpu::Backends::PRIMARY)).filter(|found| !found.is_empty()).unwrap_or_else(|| of(wgpu::Backends::GL))
 }
 
 fn describe(info: &AdapterInfo) -> String {
@@ -47,10 +52,11 @@ fn rank(info: &AdapterInfo) -> u8 {
 
 impl Gpu {
     pub(crate) fn open(choice: AdapterChoice) -> Result<Self, RasterError> {
-        let counts = |a: &Adapter| choice == AdapterChoice::Any || a.get_info().device_type != DeviceType::Cpu;
-        let adapter = enumerate().into_iter().filter(counts).min_by_key(|a| rank(&a.get_info()));
-        let Some(adapter) = adapter else {
-            let what = format!("no graphics adapter; the drivers offer {:?}", adapters());
+        let counts = |a: &&Adapter| choice == AdapterChoice::Any || a.get_info().device_type != DeviceType::Cpu;
+        let offered = enumerate();
+        let Some(adapter) = offered.iter().filter(counts).min_by_key(|a| rank(&a.get_info())) else {
+            let names: Vec<String> = offered.iter().map(|a| describe(&a.get_info())).collect();
+            let what = format!("no graphics adapter; the drivers offer {names:?}");
             return Err(RasterError::Device { device: "wgpu".into(), what });
         };
         let name = describe(&adapter.get_info());

@@ -1,0 +1,161 @@
+//! `pseudoflow adapt`: self-supervised training from recordings, then the judgement of what it brought.
+
+mod chart;
+mod judge;
+mod progress;
+mod report;
+mod training;
+
+use anyhow::{Context as _, Result, bail, ensure};
+use judge::judge;
+use pseudoflow_runtime::supervisor;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+#[derive(clap::Args, Debug, Clone)]
+pub(crate) struct Args {
+    /// Recordings without annotations: rosbag2 folders, .mcap files or BOP scenes.
+    #[arg(long = "bag", required = true, num_args = 1..)]
+    bags: Vec<PathBuf>,
+    /// The object set: a BOP `models/` folder.
+    #[arg(long)]
+    objects: PathBuf,
+    /// Initial poses: a topic (`/initial_poses`) or a file as `init_poses.json`. BOP scenes bring their own.
+    #[arg(long)]
+    init: Option<String>,
+    /// Weights to begin with (.safetensors).
+    #[arg(long)]
+    weights: PathBuf,
+    /// The weights to write, if they are better. Log, checkpoint and report stand in a folder of the same name.
+    #[arg(long)]
+    out: PathBuf,
+    /// Training steps.
+    #[arg(long, default_value_t = 600)]
+    steps: u64,
+    /// Instances in a step.
+    #[arg(long, default_value_t = 4)]
+    batch: u64,
+    /// Rendered views of each instance.
+    #[arg(long, default_value_t = 4)]
+    views: u32,
+    /// Other frames that the photometric loss compares with.
+    #[arg(long, default_value_t = 3)]
+    partners: u32,
+    /// Largest disagreement of a label between the views, pixels of a 256 px crop.
+    #[arg(long, default_value_t = 1.0)]
+    tau: f32,
+    /// Weight of the flow loss.
+    #[arg(long, default_value_t = 1.0)]
+    flow_weight: f64,
+    /// Weight of the photometric loss.
+    #[arg(long, default_value_t = 0.5)]
+    photo_weight: f64,
+    /// Accepts every label of the teacher, whether or not the views agree (the paper's baseline).
+    #[arg(long)]
+    accept_all_labels: bool,
+    /// nano, small or paper.
+    #[arg(long, default_value = "nano")]
+    network: String,
+    /// Width and height of the crops, pixels.
+    #[arg(long, default_value_t = 128)]
+    size: u32,
+    /// Peak of the one-cycle learning rate.
+    #[arg(long, default_value_t = 1e-4)]
+    max_lr: f64,
+    /// Share of the old teacher in the new one after a step.
+    #[arg(long, default_value_t = 0.99)]
+    ema: f64,
+    /// Uses this many frames of the recordings only.
+    #[arg(long)]
+    budget_frames: Option<u64>,
+    /// Every n-th frame is left out of the training and used to judge it.
+    #[arg(long, default_value_t = 5)]
+    held_out_every: u64,
+    /// Folder of the report; without: that of the training.
+    #[arg(long)]
+    report: Option<PathBuf>,
+    /// Records sigma, masks, flow and overlays of the labels as a rosbag2 folder there.
+    #[arg(long)]
+    record: Option<PathBuf>,
+    /// Goes on from the checkpoint of an interrupted training.
+    #[arg(long)]
+    resume: bool,
+    /// Only those of these objects.
+    #[arg(long, num_args = 1..)]
+    only_objects: Option<Vec<u32>>,
+    /// Seed of the run.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+/// The exit code of a training that made nothing better.
+const NOT_BETTER: u8 = 3;
+
+impl Args {
+    /// Where the training keeps its things.
+    fn folder(&self) -> PathBuf {
+        self.out.with_extension("adapt")
+    }
+}
+
+pub(crate) fn run(args: &Args) -> Result<ExitCode> {
+    check(args)?;
+    let folder = args.folder();
+    std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
+    let Some(trained) = train(args, &folder)? else { return Ok(ExitCode::FAILURE) };
+    let verdict = judge(args, &trained)?;
+    let page = report::write(args, &folder, &verdict)?;
+    println!("{}", verdict.text());
+    println!("report: {}", page.display());
+    if !verdict.better() {
+        println!("{} was not written: the held-out frames do not show a gain", args.out.display());
+        return Ok(ExitCode::from(NOT_BETTER));
+    }
+    keep(&trained, &args.out)?;
+    println!("{}", args.out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn check(args: &Args) -> Result<()> {
+    ensure!(args.steps > 0 && args.batch > 0, "`--steps` and `--batch`: give at least 1");
+    ensure!(args.held_out_every >= 2, "`--held-out-every {}`: give at least 2", args.held_out_every);
+    ensure!(args.weights.is_file(), "`--weights {}`: no such file", args.weights.display());
+    let (folder, started) = (args.folder(), args.folder().join(training::CHECKPOINT));
+    match (args.resume, started.exists()) {
+        (true, false) => bail!("`--resume`: there is no {}: leave `--resume` out", started.display()),
+        (false, true) => bail!(
+            "{} holds an earlier training: go on with `--resume`, or remove the folder, or give another `--out`",
+            folder.display()
+        ),
+        _ => Ok(()),
+    }
+}
+
+/// Runs the graph; `None` when it was asked to stop before the last step.
+fn train(args: &Args, folder: &Path) -> Result<Option<PathBuf>> {
+    let trained = folder.join(training::TEACHER);
+    let first_step = training::steps_taken(folder)?;
+    if first_step < args.steps {
+        let graph = training::graph(args, folder, first_step)?;
+        let options = supervisor::Options { print: false, ..supervisor::Options::new(&folder.join("run")) };
+        let bar = progress::Watch::start(folder, args.steps);
+        let summary = supervisor::run(&graph, &crate::registry(), &options);
+        bar.stop();
+        let summary = summary.with_context(|| format!("training stopped; its log is {}", options.run_dir.display()))?;
+        training::print_stages(&summary);
+        if summary.asked_to_stop {
+            println!("stopped; go on with the same command and `--resume`");
+            return Ok(None);
+        }
+    }
+    ensure!(trained.is_file(), "{}: the trainer left no weights", trained.display());
+    Ok(Some(trained))
+}
+
+/// Copies beside and renames.
+fn keep(trained: &Path, out: &Path) -> Result<()> {
+    let beside = out.with_extension("part");
+    std::fs::copy(trained, &beside)
+        .and_then(|_| std::fs::rename(&beside, out))
+        .with_context(|| format!("{}: cannot be written; the weights are in {}", out.display(), trained.display()))
+}

@@ -1,0 +1,94 @@
+use super::Args;
+use anyhow::{Context as _, Result};
+use pseudoflow_runtime::Graph;
+use pseudoflow_runtime::supervisor::Summary;
+use serde_json::json;
+use std::path::Path;
+
+/// Names of the trainer's files in its folder.
+pub(super) const CHECKPOINT: &str = "checkpoint.safetensors";
+pub(super) const TEACHER: &str = "teacher.safetensors";
+pub(super) const LOG: &str = "adapt.csv";
+
+const GRAPH: &str = include_str!("../../../../../config/graphs/adapt.yaml");
+
+/// Steps between two publications of the teacher.
+const PUBLISH_EVERY: u64 = 10;
+
+/// Steps that the checkpoint in a folder has behind it; 0 without one.
+pub(super) fn steps_taken(folder: &Path) -> Result<u64> {
+    let path = folder.join(CHECKPOINT);
+    if !path.exists() {
+        return Ok(0);
+    }
+    pseudoflow_trainer::adapt::steps_taken(&path).with_context(|| format!("{}: cannot be resumed", path.display()))
+}
+
+/// The graph of `config/graphs/adapt.yaml` with the arguments put in.
+pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph> {
+    let mut graph = Graph::parse(GRAPH, Path::new("config/graphs/adapt.yaml"))?;
+    let (samples, first) = ((args.steps - first_step) * args.batch, first_step * args.batch);
+    let (topic, file) = initial_poses(args);
+    let network = serde_json::to_value(super::super::export::network(&args.network)?)?;
+    let settings = [
+        ("seed", json!(args.seed)),
+        ("window", json!((3 * args.batch).clamp(8, 64))),
+        ("player.source", json!(args.bags[0])),
+        ("player.also", json!(args.bags[1..])),
+        ("player.objects", json!(args.objects)),
+        ("player.only_objects", json!(args.only_objects)),
+        ("player.initial_poses", json!({"topic": topic, "file": file})),
+        ("player.sampling.samples", json!(samples)),
+        ("player.sampling.first", json!(first)),
+        ("player.sampling.partners", json!(args.partners)),
+        ("player.sampling.held_out_every", json!(args.held_out_every)),
+        ("player.sampling.budget_frames", json!(args.budget_frames)),
+        ("renderer.objects", json!(args.objects)),
+        ("renderer.size_px", json!(args.size)),
+        ("renderer.views", json!(args.views)),
+        ("renderer.first_frame", json!(first)),
+        ("flow.model", json!(args.weights)),
+        ("flow.network", network.clone()),
+        ("flow.size_px", json!(args.size)),
+        (
+            "flow.lockstep",
+            json!({"frames_per_step": args.batch, "publish_every": PUBLISH_EVERY, "first_step": first_step}),
+        ),
+        ("consistency.tau_px_at_256", json!(args.tau)),
+        ("consistency.accept_all", json!(args.accept_all_labels)),
+        ("trainer.weights", json!(args.weights)),
+        ("trainer.network", network),
+        ("trainer.size_px", json!(args.size)),
+        ("trainer.steps", json!(args.steps)),
+        ("trainer.frames_per_step", json!(args.batch)),
+        ("trainer.publish_every", json!(PUBLISH_EVERY)),
+        ("trainer.max_lr", json!(args.max_lr)),
+        ("trainer.ema_alpha", json!(args.ema)),
+        ("trainer.flow_weight", json!(args.flow_weight)),
+        ("trainer.photo_weight", json!(args.photo_weight)),
+        ("trainer.out", json!(folder)),
+    ];
+    for (key, value) in settings {
+        graph.set(key, &value.to_string())?;
+    }
+    Ok(graph)
+}
+
+/// Topic and file that `--init` names.
+pub(super) fn initial_poses(args: &Args) -> (Option<String>, Option<String>) {
+    match &args.init {
+        None => (None, None),
+        Some(file) if Path::new(file).is_file() => (None, Some(file.clone())),
+        Some(topic) => (Some(topic.clone()), None),
+    }
+}
+
+/// Busy share and times of the stages.
+pub(super) fn print_stages(summary: &Summary) {
+    println!("{:12} {:>7} {:>10} {:>10}", "node", "frames", "ms p50", "ms p99");
+    for node in &summary.nodes {
+        if let Some([p50, p99]) = node.work_ms {
+            println!("{:12} {:>7} {p50:>10.1} {p99:>10.1}", node.name, node.frames);
+        }
+    }
+}

@@ -1,0 +1,17 @@
+#!/usr/bin/env bash
+# The whole live graph as a robot uses it: CycloneDDS plays a camera and a detector with the frames of bags/tabletop_demo,
+# `pseudoflow run config/graphs/live.yaml` refines them in its processes, and /object_pose comes back by CycloneDDS.
+# Needs: the Python packages cyclonedds and rosbags (PYTHON names the interpreter).
+source "$(dirname "$0")/environment.sh"
+cd "$root"
+[ -n "${SKIP_BUILD:-}" ] || cargo build --release --workspace
+out=$(mktemp -d)
+trap 'kill %1 2>/dev/null || true; wait; rm -rf "$out"' EXIT
+echo "== camera -> live graph -> /object_pose, 30 frames"
+"$target/release/pseudoflow" run config/graphs/live.yaml --out "$out/run" \
+    --set bridge.camera.transport=compressed --set bridge.camera.image=/camera/image_raw/compressed >"$out/log" 2>&1 &
+run=$!
+timeout 150 "$python" "$interop/cyclone_live.py" bags/tabletop_demo 30 2 || { tail -n 40 "$out/log" >&2; exit 1; }
+kill -INT "$run"
+wait "$run" || { echo "the run did not end in order" >&2; tail -n 40 "$out/log" >&2; exit 1; }
+echo "ok: live"
