@@ -9,9 +9,10 @@
 //! |---|---|---|
 //! | [`CameraFrame`] | player, bridge | renderer, recorder, (initializer) |
 //! | [`ObjectPoses`] | player (initial), pnp | renderer, bridge, recorder, evaluator |
-//! | [`ReferenceViews`] | renderer | flow, pnp, (consistency) |
-//! | [`FlowFields`] | flow | pnp, (consistency) |
+//! | [`ReferenceViews`] | renderer | flow, pnp, consistency, trainer |
+//! | [`FlowFields`] | flow | pnp, consistency, trainer |
 //! | [`PartnerFrames`] | player (training) | renderer |
+//! | [`PseudoLabels`] | consistency | trainer |
 //! | [`NetworkWeights`] | trainer | flow |
 //!
 //! At the edges ([`ros`]) the same content is ROS 2 messages: in bags and over DDS.
@@ -24,6 +25,7 @@ mod flow_fields;
 mod network_weights;
 mod object_poses;
 mod partner_frames;
+mod pseudo_labels;
 mod reference_views;
 
 pub use camera_frame::{CameraFrame, CameraFrameHeader, CameraFrameMut, FRAME_ID_BYTES};
@@ -32,6 +34,7 @@ pub use layout::{AlignedBytes, MalformedMessage};
 pub use network_weights::{NetworkWeights, NetworkWeightsHeader};
 pub use object_poses::{ObjectPose, ObjectPoses, ObjectPosesHeader, PoseSource, PoseStatus};
 pub use partner_frames::{PartnerFrame, PartnerFrames, PartnerFramesHeader};
+pub use pseudo_labels::{InstanceLabels, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut};
 pub use reference_views::{Partner, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut};
 
 use bytemuck::{Pod, Zeroable};

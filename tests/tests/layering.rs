@@ -23,11 +23,12 @@ fn members() -> BTreeMap<String, BTreeSet<String>> {
     packages.iter().map(|package| (name(package), of(package))).collect()
 }
 
-const NODES: [&str; 8] = [
+const NODES: [&str; 9] = [
     "pseudoflow-player",
     "pseudoflow-bridge",
     "pseudoflow-renderer",
     "pseudoflow-flow",
+    "pseudoflow-consistency",
     "pseudoflow-pnp",
     "pseudoflow-trainer",
     "pseudoflow-evaluator",

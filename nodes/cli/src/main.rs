@@ -48,6 +48,7 @@ fn registry() -> Registry {
         .with::<pseudoflow_player::PlayerNode>()
         .with::<pseudoflow_renderer::RendererNode>()
         .with::<pseudoflow_flow::FlowNode>()
+        .with::<pseudoflow_consistency::ConsistencyNode>()
         .with::<pseudoflow_pnp::PnpNode>()
         .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()
