@@ -31,6 +31,8 @@ enum Command {
     Node(commands::run::NodeArgs),
     /// Trains a flow network on synthetic renderings of an object set.
     Pretrain(commands::pretrain::Args),
+    /// Trains on recordings without annotations, and keeps the result if it is better.
+    Adapt(commands::adapt::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
@@ -50,6 +52,7 @@ fn registry() -> Registry {
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_consistency::ConsistencyNode>()
         .with::<pseudoflow_pnp::PnpNode>()
+        .with::<pseudoflow_trainer::adapt::TrainerNode>()
         .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()
         .with::<pseudoflow_recorder::RecorderNode>()
@@ -78,6 +81,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Schema => commands::run::schema(),
         Command::Node(args) => commands::run::node(&args),
         Command::Pretrain(args) => commands::pretrain::run(args),
+        Command::Adapt(args) => commands::adapt::run(&args),
         Command::Export(args) => commands::export::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
         Command::Compare(args) => commands::eval::compare(&args),

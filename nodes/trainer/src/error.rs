@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum TrainerError {
     /// A configuration value is out of its range.
-    #[error("pre-training configuration, field `{field}`: give {wanted}")]
+    #[error("training configuration, field `{field}`: give {wanted}")]
     Config {
         /// The field.
         field: String,
@@ -54,6 +54,9 @@ pub enum TrainerError {
         /// This run's line.
         here: String,
     },
+    /// A message that does not fit this training.
+    #[error("{0}")]
+    Message(String),
     /// A data thread died.
     #[error("the thread that makes synthetic samples ended early; see the log")]
     DataThread,

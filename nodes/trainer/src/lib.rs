@@ -1,5 +1,7 @@
-//! Training of the flow network. Here: pre-training on synthetic pairs (method.md, "Synthetic pre-training").
+//! Training of the flow network: on synthetic pairs ([`pretrain`]; method.md, "Synthetic pre-training") and, without
+//! annotations, on real recordings ([`adapt`]; method.md, "Self-supervision").
 
+pub mod adapt;
 mod error;
 pub mod pretrain;
 mod preview;

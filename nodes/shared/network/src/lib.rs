@@ -18,5 +18,5 @@ pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_lo
 pub use onnx::{ExportOptions, export_onnx};
 pub use optim::{AdamWConfig, OneCycle};
 pub use raft::Raft;
-pub use train::{StepStats, TrainConfig, TrainState};
+pub use train::{ExtraLoss, StepStats, TrainConfig, TrainState};
 pub use weights::{NamedTensor, Weights, WeightsInfo};

@@ -6,7 +6,7 @@ use crate::loss::{FlowBatch, end_point_error, sequence_loss, values};
 use crate::optim::{AdamWConfig, Moments, OneCycle, adamw, clip_scale, global_norm};
 use crate::raft::Raft;
 use crate::weights::{NamedTensor, Weights, parse_with, serialize_with, write_atomically};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -45,6 +45,15 @@ pub struct StepStats {
     pub grad_norm: f64,
     /// Learning rate of the step.
     pub lr: f64,
+}
+
+/// A loss on the last flows that is computed outside of the network.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExtraLoss {
+    /// Its value.
+    pub value: f32,
+    /// Its gradient with respect to each flow value (n, 2, S, S).
+    pub gradient: Vec<f32>,
 }
 
 /// A training run in progress.
@@ -99,6 +108,41 @@ impl TrainState {
         Ok(stats)
     }
 
+    /// One step on `flow_weight` times [`sequence_loss`] plus a loss that the caller computes from the last flows
+    /// (n, 2, S, S), with its gradient there. `loss` of the returned is the sum of both.
+    ///
+    /// # Errors
+    /// As [`Self::train_step`].
+    ///
+    /// # Panics
+    /// When the gradient has another length than the flows.
+    pub fn train_step_with(
+        &mut self,
+        batch: &FlowBatch<'_>,
+        flow_weight: f32,
+        extra: impl FnOnce(&[f32]) -> ExtraLoss,
+    ) -> Result<StepStats> {
+        let device = self.device.clone().autodiff();
+        let data = batch.to_device(self.network.size_px, &device)?;
+        let (iterations, gamma, size_px) = (self.network.iterations_train, self.config.gamma, self.network.size_px);
+        let (mut epe, mut total) = (f32::NAN, f32::NAN);
+        let mut stats = self.step_with(|raft| {
+            let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
+            let last = flows[iterations - 1].clone();
+            let flow_px = values(last.clone());
+            epe = end_point_error(&flow_px, &values(data.flow.clone()), &values(data.mask.clone()), batch.n);
+            let flow_loss = sequence_loss(&flows, &data, gamma) * flow_weight;
+            let ExtraLoss { value, gradient } = extra(&flow_px);
+            assert_eq!(gradient.len(), flow_px.len(), "one gradient for each flow value");
+            total = values(flow_loss.clone())[0] + value;
+            // Linear in the flow: its gradient is the extra loss's.
+            let slope = Tensor::from_data(TensorData::new(gradient, [batch.n, 2, size_px, size_px]), &device);
+            flow_loss + (last * slope).sum()
+        })?;
+        (stats.epe, stats.loss) = (epe, total);
+        Ok(stats)
+    }
+
     /// One step on any loss of shape (1), given the network on the device with autodiff.
     ///
     /// # Errors
@@ -116,6 +160,13 @@ impl TrainState {
         let lr = self.config.schedule.lr(self.step());
         self.apply(&grads, clip_scale(grad_norm, self.config.clip_norm), lr);
         Ok(StepStats { step: self.step(), loss: value, epe: f32::NAN, grad_norm, lr })
+    }
+
+    /// Counts a step without data: the schedule goes on, weights and moments stay. Returns the step's learning rate.
+    pub fn skip_step(&mut self) -> f64 {
+        let lr = self.config.schedule.lr(self.step());
+        self.weights.info.step += 1;
+        lr
     }
 
     fn check_finite(&self, finite: bool, what: &str) -> Result<()> {
@@ -142,12 +193,25 @@ impl TrainState {
     /// # Errors
     /// The folder is not writable or the disk is full; an older checkpoint then stays.
     pub fn save(&self, path: &Path) -> Result<()> {
+        self.save_with(path, &[])
+    }
+
+    /// As [`Self::save`], with other weights of the network under names of their own, all in one file.
+    ///
+    /// # Errors
+    /// As [`Self::save`].
+    pub fn save_with(&self, path: &Path, others: &[(&str, &Weights)]) -> Result<()> {
         let mut all: Vec<NamedTensor> = self.weights.tensors().to_vec();
         for (tensor, moments) in self.weights.tensors().iter().zip(&self.moments) {
             for (prefix, data) in [(MEAN, &moments.mean), (SQUARE, &moments.square)] {
                 let name = format!("{prefix}{}", tensor.name);
                 all.push(NamedTensor { name, shape: tensor.shape.clone(), data: data.clone() });
             }
+        }
+        for (name, weights) in others {
+            all.extend(
+                weights.tensors().iter().map(|t| NamedTensor { name: format!("{name}.{}", t.name), ..t.clone() }),
+            );
         }
         let training = serde_json::to_string(&self.config).expect("plain struct");
         write_atomically(path, &serialize_with(&self.weights.info, all.iter(), &[(TRAINING, training)]))
@@ -158,6 +222,19 @@ impl TrainState {
     /// # Errors
     /// The file is unreadable or damaged, carries no optimiser state, or belongs to another network.
     pub fn load(path: &Path, network: NetworkConfig, device: &Device) -> Result<Self> {
+        Ok(Self::load_with(path, network, device, &[])?.0)
+    }
+
+    /// Reads a state that [`Self::save_with`] wrote, and the other weights by their names.
+    ///
+    /// # Errors
+    /// As [`Self::load`]; other weights are missing.
+    pub fn load_with(
+        path: &Path,
+        network: NetworkConfig,
+        device: &Device,
+        others: &[&str],
+    ) -> Result<(Self, Vec<Weights>)> {
         let bytes = std::fs::read(path).map_err(io_error(path))?;
         let (info, mut tensors, metadata) = parse_with(&bytes, path)?;
         let problem = |text: String| NetworkError::Checkpoint { path: path.into(), problem: text };
@@ -177,8 +254,17 @@ impl TrainState {
             };
             moments.push(Moments { mean: take(MEAN)?, square: take(SQUARE)? });
         }
-        let weights = Weights::from_parts(info, tensors, &network, &path.display().to_string())?;
-        Ok(Self { network, config, weights, moments, device: device.clone() })
+        let origin = path.display().to_string();
+        let other = |name: &&str| {
+            let own = network.arch.layout().into_iter().filter_map(|spec| {
+                let found = tensors.remove(&format!("{name}.{}", spec.name))?;
+                Some((spec.name.clone(), NamedTensor { name: spec.name, ..found }))
+            });
+            Weights::from_parts(info.clone(), own.collect(), &network, &origin)
+        };
+        let others = others.iter().map(other).collect::<Result<Vec<_>>>()?;
+        let weights = Weights::from_parts(info, tensors, &network, &origin)?;
+        Ok((Self { network, config, weights, moments, device: device.clone() }, others))
     }
 }
 

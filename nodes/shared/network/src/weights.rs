@@ -68,6 +68,15 @@ impl Weights {
         Self::from_parts(info, tensors, config, &path.display().to_string())
     }
 
+    /// Reads where the weights of a file come from; a checkpoint's as well.
+    ///
+    /// # Errors
+    /// The file is unreadable or damaged.
+    pub fn read_info(path: &Path) -> Result<WeightsInfo> {
+        let bytes = std::fs::read(path).map_err(io_error(path))?;
+        Ok(parse(&bytes, path)?.0)
+    }
+
     /// Orders and checks loose tensors; `origin` is named in errors.
     pub(crate) fn from_parts(
         info: WeightsInfo,

@@ -150,12 +150,7 @@ impl PretrainConfig {
     /// # Errors
     /// When the YAML file is bad.
     pub fn resolve_network(&self) -> Result<NetworkConfig, TrainerError> {
-        let mut network = match self.network.as_str() {
-            "nano" => NetworkConfig::nano(),
-            "small" => NetworkConfig::small(),
-            "paper" => NetworkConfig::paper(),
-            path => NetworkConfig::from_yaml_file(Path::new(path))?,
-        };
+        let mut network = network_named(&self.network)?;
         network.iterations_train = self.iterations.unwrap_or(network.iterations_train);
         Ok(network)
     }
@@ -173,5 +168,15 @@ impl PretrainConfig {
     #[must_use]
     pub fn checkpoint_path(&self) -> PathBuf {
         self.out.with_extension("checkpoint")
+    }
+}
+
+/// A preset by its name, or the network of a YAML file.
+pub(crate) fn network_named(name: &str) -> Result<NetworkConfig, TrainerError> {
+    match name {
+        "nano" => Ok(NetworkConfig::nano()),
+        "small" => Ok(NetworkConfig::small()),
+        "paper" => Ok(NetworkConfig::paper()),
+        path => Ok(NetworkConfig::from_yaml_file(Path::new(path))?),
     }
 }

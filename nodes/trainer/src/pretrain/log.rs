@@ -118,7 +118,7 @@ fn parse(line: &str) -> Option<StepReport> {
 }
 
 /// Writes beside the target, then renames.
-pub(super) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), TrainerError> {
+pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), TrainerError> {
     let mut partial = path.as_os_str().to_owned();
     partial.push(".partial");
     std::fs::write(&partial, bytes).map_err(TrainerError::io(path))?;

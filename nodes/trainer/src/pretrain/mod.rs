@@ -10,13 +10,15 @@ mod progress;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use config::network_named;
 pub use config::{PretrainConfig, SHIPPED_WEIGHTS, SizeShare, WarmStart};
 pub use progress::{Progress, Silent, TerminalProgress};
 
 use crate::TrainerError;
 use crate::synth::SampleGenerator;
 use data::Prefetch;
-use log::{RunLog, write_atomically};
+use log::RunLog;
+pub(crate) use log::write_atomically;
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_network::{Device, NetworkConfig, TrainConfig, TrainState, Weights};
 use serde::{Deserialize, Serialize};

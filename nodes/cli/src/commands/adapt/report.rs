@@ -99,10 +99,10 @@ fn pictures(args: &Args, verdict: &Verdict) -> Result<String> {
         let picture = picture(case, &rasteriser)?;
         let data = base64::engine::general_purpose::STANDARD.encode(encode_jpeg(&picture, JPEG_QUALITY)?);
         let name = objects.get(case.before.pose.object_id).map(|o| o.name.clone())?;
-        let _ = write!(
+        let _ = writeln!(
             html,
             "<figure><img width=\"{PANEL_PX}\" alt=\"{name}\" src=\"data:image/jpeg;base64,{data}\"><figcaption>{name}, \
-             scene {}, image {}: {:+.2}</figcaption></figure>\n",
+             scene {}, image {}: {:+.2}</figcaption></figure>",
             case.scene_id,
             case.image_id,
             case.gain()

@@ -5,10 +5,7 @@ use pseudoflow_runtime::supervisor::Summary;
 use serde_json::json;
 use std::path::Path;
 
-/// Names of the trainer's files in its folder.
-pub(super) const CHECKPOINT: &str = "checkpoint.safetensors";
-pub(super) const TEACHER: &str = "teacher.safetensors";
-pub(super) const LOG: &str = "adapt.csv";
+pub(super) use pseudoflow_trainer::adapt::files::{CHECKPOINT, LOG, TEACHER};
 
 const GRAPH: &str = include_str!("../../../../../config/graphs/adapt.yaml");
 
@@ -60,6 +57,7 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
         ("trainer.network", network),
         ("trainer.size_px", json!(args.size)),
         ("trainer.steps", json!(args.steps)),
+        ("trainer.first_step", json!(first_step)),
         ("trainer.frames_per_step", json!(args.batch)),
         ("trainer.publish_every", json!(PUBLISH_EVERY)),
         ("trainer.max_lr", json!(args.max_lr)),

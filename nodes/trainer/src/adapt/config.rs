@@ -1,0 +1,149 @@
+use crate::TrainerError;
+use pseudoflow_network::NetworkConfig;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Settings of the trainer node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TrainerConfig {
+    /// Weights that student and teacher begin with (.safetensors).
+    pub weights: PathBuf,
+    /// The network that they belong to: nano, small, paper, or a YAML file as in config/networks.
+    #[serde(default = "nano")]
+    pub network: String,
+    /// Width and height of the crops, pixels; the renderer's `size_px`.
+    #[serde(default = "default_size_px")]
+    pub size_px: u32,
+    /// Folder of checkpoint, log and result.
+    pub out: PathBuf,
+    /// Steps of the whole training.
+    pub steps: u64,
+    /// Steps that were taken before this run: frame 0 belongs to the next one.
+    #[serde(default)]
+    pub first_step: u64,
+    /// Frames of a step.
+    #[serde(default = "default_frames")]
+    pub frames_per_step: u64,
+    /// Steps between two publications of the teacher; the flow node's `lockstep.publish_every`.
+    #[serde(default = "default_publish")]
+    pub publish_every: u64,
+    /// Steps between two checkpoints. What is not in one is repeated after a crash: the graph's `window` must hold more
+    /// than so many steps.
+    #[serde(default = "default_checkpoint")]
+    pub checkpoint_every: u64,
+    /// Peak of the one-cycle learning rate; 4e-4 in the paper, for 16 instances a step.
+    #[serde(default = "default_max_lr")]
+    pub max_lr: f64,
+    /// Share of the old teacher in the new one; 0.999 in the paper, for far longer trainings.
+    #[serde(default = "default_ema")]
+    pub ema_alpha: f64,
+    /// Weight of the flow loss.
+    #[serde(default = "one")]
+    pub flow_weight: f64,
+    /// Weight of the photometric loss.
+    #[serde(default = "half")]
+    pub photo_weight: f64,
+    /// Whether the student sees other colours than the teacher.
+    #[serde(default = "yes")]
+    pub augment: bool,
+}
+
+fn nano() -> String {
+    "nano".into()
+}
+
+fn default_size_px() -> u32 {
+    128
+}
+
+fn default_frames() -> u64 {
+    4
+}
+
+fn default_publish() -> u64 {
+    10
+}
+
+fn default_checkpoint() -> u64 {
+    1
+}
+
+fn default_max_lr() -> f64 {
+    1e-4
+}
+
+fn default_ema() -> f64 {
+    0.99
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn half() -> f64 {
+    0.5
+}
+
+fn yes() -> bool {
+    true
+}
+
+impl TrainerConfig {
+    /// A training with the defaults.
+    #[must_use]
+    pub fn new(weights: PathBuf, out: PathBuf, steps: u64) -> Self {
+        Self {
+            weights,
+            network: nano(),
+            size_px: default_size_px(),
+            out,
+            steps,
+            first_step: 0,
+            frames_per_step: default_frames(),
+            publish_every: default_publish(),
+            checkpoint_every: default_checkpoint(),
+            max_lr: default_max_lr(),
+            ema_alpha: default_ema(),
+            flow_weight: one(),
+            photo_weight: half(),
+            augment: yes(),
+        }
+    }
+
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// Names the first setting that is out of range.
+    pub fn check(&self) -> Result<(), TrainerError> {
+        let checks = [
+            (
+                "size_px",
+                self.size_px.is_multiple_of(8) && (64..=1024).contains(&self.size_px),
+                "a multiple of 8 in 64..=1024",
+            ),
+            ("steps", self.steps > 0 && self.first_step < self.steps, "more than `first_step`"),
+            ("frames_per_step", self.frames_per_step > 0, "at least 1"),
+            ("publish_every", self.publish_every > 0, "at least 1"),
+            ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
+            ("max_lr", self.max_lr > 0.0 && self.max_lr < 1.0, "a rate in 0..1"),
+            ("ema_alpha", (0.0..1.0).contains(&self.ema_alpha), "0 <= alpha < 1"),
+            ("flow_weight", self.flow_weight >= 0.0, "at least 0"),
+            ("photo_weight", self.photo_weight >= 0.0, "at least 0"),
+            ("flow_weight", self.flow_weight + self.photo_weight > 0.0, "more than 0, or `photo_weight`"),
+        ];
+        match checks.into_iter().find(|(_, good, _)| !good) {
+            Some((field, _, wanted)) => Err(TrainerError::Config { field: field.into(), wanted }),
+            None => Ok(()),
+        }
+    }
+
+    /// The network at the size of these crops.
+    ///
+    /// # Errors
+    /// The name is none of the presets and no readable file.
+    pub fn resolve_network(&self) -> Result<NetworkConfig, TrainerError> {
+        crate::pretrain::network_named(&self.network)
+    }
+}

@@ -1,0 +1,215 @@
+use super::log::{AdaptLog, LabelStats};
+use super::{AdaptState, Sample, TrainerConfig, files};
+use crate::TrainerError;
+use pseudoflow_msgs::{
+    FlowFields, FrameKey, InstanceLabels, NetworkWeights, NetworkWeightsHeader, PseudoLabels, ReferenceViews,
+};
+use pseudoflow_network::{ExportOptions, NetworkConfig, Weights, export_onnx};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Labels in, the teacher's weights out: one step of training for every `frames_per_step` frames.
+///
+/// Frames of a step are kept until the step is in a checkpoint ([`Node::safe_until`]), so that a process that takes over
+/// finds what it lacks sent again, and comes to the same weights to the bit.
+pub struct TrainerNode {
+    config: TrainerConfig,
+    network: NetworkConfig,
+    state: AdaptState,
+    log: AdaptLog,
+    /// ONNX files of the last publication and the one before it.
+    published: [Vec<u8>; 2],
+    /// Steps in the checkpoint.
+    saved_steps: u64,
+    batch: Batch,
+    started: Instant,
+}
+
+/// What has come of the step in progress.
+#[derive(Default)]
+struct Batch {
+    frames: u64,
+    samples: Vec<Sample>,
+    labels: Vec<InstanceLabels>,
+    oldest_publication: Option<u64>,
+}
+
+impl Batch {
+    fn stats(&self, step: u64, publish_every: u64) -> LabelStats {
+        let sum = |part: fn(&InstanceLabels) -> u32| self.labels.iter().map(|l| f64::from(part(l))).sum::<f64>();
+        let sigmas: Vec<f64> =
+            self.labels.iter().map(|l| f64::from(l.median_sigma_px)).filter(|s| s.is_finite()).collect();
+        LabelStats {
+            valid_fraction: sum(|l| l.valid_px) / sum(|l| l.visible_px).max(1.0),
+            median_sigma_px: sigmas.iter().sum::<f64>() / sigmas.len() as f64,
+            samples: self.samples.len(),
+            skipped: self.labels.len() - self.samples.len(),
+            staleness_steps: step.saturating_sub(self.oldest_publication.unwrap_or(0) * publish_every),
+        }
+    }
+}
+
+impl TrainerNode {
+    fn path(&self, file: &str) -> PathBuf {
+        self.config.out.join(file)
+    }
+
+    fn onnx(&self, weights: &Weights) -> Result<Vec<u8>, TrainerError> {
+        let (size_px, iterations) = (self.config.size_px as usize, self.network.iterations_infer);
+        Ok(export_onnx(weights, &self.network, ExportOptions { size_px, iterations, batch: None })?)
+    }
+
+    /// The step that a frame belongs to, counted from 0.
+    fn step_of(&self, frame: u64) -> u64 {
+        self.config.first_step + frame / self.config.frames_per_step
+    }
+
+    fn send(&self, key: FrameKey, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
+        let version = self.state.step() / self.config.publish_every;
+        let [onnx, previous] = &self.published;
+        let header = NetworkWeightsHeader {
+            version,
+            step: version * self.config.publish_every,
+            frames_per_version: self.config.publish_every * self.config.frames_per_step,
+            onnx_bytes: onnx.len() as u64,
+            previous_onnx_bytes: previous.len() as u64,
+        };
+        let len = NetworkWeights::byte_len(&header);
+        outputs.send("weights", key, len, &mut |bytes| NetworkWeights::write(bytes, header, onnx, previous))
+    }
+
+    fn gather(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<(), NodeError> {
+        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
+        let flow = read::<FlowFields<'static>>(inputs, "flow")?;
+        let labels = read::<PseudoLabels<'static>>(inputs, "labels")?;
+        let sizes = [views.header.size_px, flow.header.size_px, labels.header.size_px];
+        if sizes != [self.config.size_px; 3] {
+            let text = format!("views, flow and labels are {sizes:?} px wide, `size_px` is {}", self.config.size_px);
+            return Err(TrainerError::Message(text).into());
+        }
+        let place = self.config.first_step * self.config.frames_per_step + inputs.key().index;
+        for (instance, info) in labels.info.iter().enumerate() {
+            if info.usable == 1 {
+                let mut rng = context.rng(place, &format!("augment {instance}"));
+                let augment = self.config.augment.then_some(&mut rng);
+                self.batch.samples.push(Sample::of(&views, &flow, &labels, instance, augment));
+            }
+            self.batch.labels.push(*info);
+        }
+        let publication = labels.header.weights_version;
+        let oldest = self.batch.oldest_publication.get_or_insert(publication);
+        *oldest = publication.min(*oldest);
+        self.batch.frames += 1;
+        Ok(())
+    }
+
+    fn step(&mut self, key: FrameKey, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
+        let batch = std::mem::take(&mut self.batch);
+        let labels = batch.stats(self.state.step(), self.config.publish_every);
+        let result = self.state.train(&batch.samples, &self.config)?;
+        let seconds = std::mem::replace(&mut self.started, Instant::now()).elapsed().as_secs_f64();
+        self.log.add(&result, &labels, seconds)?;
+        let publishes = result.step.is_multiple_of(self.config.publish_every);
+        if publishes {
+            self.state.publish();
+            let onnx = self.onnx(self.state.publications()[0])?;
+            self.published = [onnx, std::mem::take(&mut self.published[0])];
+        }
+        let ends = result.step == self.config.steps;
+        if publishes || ends || result.step.is_multiple_of(self.config.checkpoint_every) {
+            self.state.save(&self.path(files::CHECKPOINT))?;
+            self.saved_steps = result.step;
+        }
+        if ends {
+            self.state.teacher().save(&self.path(files::TEACHER))?;
+            self.state.student().save(&self.path(files::STUDENT))?;
+        }
+        // Behind the checkpoint: whoever takes over has sent nothing newer than it knows.
+        if publishes { self.send(key, outputs) } else { Ok(()) }
+    }
+}
+
+impl Node for TrainerNode {
+    const KIND: &'static str = "trainer";
+    const ROLE: Role = Role::Sink;
+    type Config = TrainerConfig;
+
+    fn inputs() -> Vec<PortSpec> {
+        vec![
+            PortSpec::required::<ReferenceViews<'static>>("views"),
+            PortSpec::required::<FlowFields<'static>>("flow"),
+            PortSpec::required::<PseudoLabels<'static>>("labels"),
+        ]
+    }
+
+    fn outputs() -> Vec<PortSpec> {
+        vec![PortSpec::required::<NetworkWeights<'static>>("weights")]
+    }
+
+    fn check(config: &TrainerConfig) -> Result<(), NodeError> {
+        config.check()?;
+        config.resolve_network()?;
+        if !config.weights.is_file() {
+            return Err(format!("`weights: {}`: no such file", config.weights.display()).into());
+        }
+        Ok(())
+    }
+
+    fn create(config: TrainerConfig, _: &Context) -> Result<Self, NodeError> {
+        std::fs::create_dir_all(&config.out).map_err(TrainerError::io(&config.out))?;
+        let checkpoint = config.out.join(files::CHECKPOINT);
+        let state = match checkpoint.exists() {
+            true => AdaptState::load(&checkpoint, &config)?,
+            false => AdaptState::new(&config)?,
+        };
+        let steps = state.step();
+        if steps < config.first_step {
+            let text = format!("`first_step: {}`: {} has only {steps} steps", config.first_step, checkpoint.display());
+            return Err(TrainerError::Message(text).into());
+        }
+        ::log::info!("training goes on from step {steps} of {}", config.steps);
+        let log = AdaptLog::open(&config.out.join(files::LOG), steps)?;
+        let network = config.resolve_network()?;
+        let (batch, started, published) = (Batch::default(), Instant::now(), [vec![], vec![]]);
+        let mut node = Self { config, network, state, log, published, saved_steps: steps, batch, started };
+        let [last, before] = node.state.publications();
+        node.published[0] = node.onnx(last)?;
+        if steps >= node.config.publish_every {
+            node.published[1] = node.onnx(before)?;
+        }
+        Ok(node)
+    }
+
+    fn begin(&mut self, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
+        self.send(FrameKey { index: 0, stamp_ns: 0 }, outputs)
+    }
+
+    /// Frames of steps that are in the checkpoint.
+    fn safe_until(&self, handled: u64) -> u64 {
+        handled.min((self.saved_steps - self.config.first_step) * self.config.frames_per_step)
+    }
+
+    fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
+        let index = inputs.key().index;
+        let within = self.config.first_step * self.config.frames_per_step + index;
+        let next = self.state.step() * self.config.frames_per_step + self.batch.frames;
+        match within.cmp(&next) {
+            // Repeated for another node's sake: this one has it.
+            std::cmp::Ordering::Less => return Ok(()),
+            std::cmp::Ordering::Greater => {
+                let text = format!("frame {index} came before the frames of step {}", self.state.step() + 1);
+                return Err(TrainerError::Message(text).into());
+            }
+            std::cmp::Ordering::Equal => {}
+        }
+        if self.step_of(index) >= self.config.steps {
+            return Ok(());
+        }
+        self.gather(inputs, context)?;
+        if self.batch.frames == self.config.frames_per_step {
+            self.step(inputs.key(), outputs)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,93 @@
+use super::augment::{augmented, grey, planes};
+use pseudoflow_msgs::{FlowFields, PseudoLabels, ReferenceViews};
+use rand_chacha::ChaCha8Rng;
+
+/// One instance of one frame, ready to train with.
+#[derive(Debug, Clone)]
+pub struct Sample {
+    /// Rendered views in [-1, 1]: `n x 3 x S x S`.
+    pub reference: Vec<f32>,
+    /// The real crop as the student sees it, in [-1, 1]: `3 x S x S`.
+    pub real: Vec<f32>,
+    /// Labels of the views, pixels: `n x 2 x S x S`; ignored where the mask is 0.
+    pub flow_px: Vec<f32>,
+    /// 1 where a label counts: `n x S x S`.
+    pub mask: Vec<f32>,
+    /// What the photometric loss compares; none without partners.
+    pub photo: Option<Photo>,
+}
+
+/// The real images of a sample's photometric loss, grey values 0..255 without augmentation.
+#[derive(Debug, Clone)]
+pub struct Photo {
+    /// The real crop: `S x S`.
+    pub grey: Vec<f32>,
+    /// Not 0 on the object in view 0: `S x S`.
+    pub mask: Vec<u8>,
+    /// Not 0 where view 0 has a label: `S x S`.
+    pub valid: Vec<u8>,
+    /// Partners: the crop `S x S`, and the teacher's flow from view 0 to it `S x S x 2`.
+    pub partners: Vec<(Vec<f32>, Vec<f32>)>,
+}
+
+/// `n x S x S x 2` as planes `n x 2 x S x S`.
+fn flow_planes(interleaved: &[f32], area: usize) -> Vec<f32> {
+    let field = |field: &[f32]| -> Vec<f32> {
+        (0..2).flat_map(|axis| field.iter().skip(axis).step_by(2).copied().collect::<Vec<_>>()).collect()
+    };
+    interleaved.chunks_exact(2 * area).flat_map(field).collect()
+}
+
+impl Sample {
+    /// The sample of an instance; `augment` draws the student's colours, without it the student sees the crop as it is.
+    #[must_use]
+    pub fn of(
+        views: &ReferenceViews<'_>,
+        flow: &FlowFields<'_>,
+        labels: &PseudoLabels<'_>,
+        instance: usize,
+        augment: Option<&mut ChaCha8Rng>,
+    ) -> Self {
+        let (n, size_px) = (views.header.views_per_instance as usize, views.header.size_px as usize);
+        let area = size_px * size_px;
+        let of_views = |values: usize| instance * n * values..(instance + 1) * n * values;
+        let real_rgb = &views.real_rgb[instance * 3 * area..(instance + 1) * 3 * area];
+        Self {
+            reference: views.rgb[of_views(3 * area)].chunks_exact(3 * area).flat_map(planes).collect(),
+            real: augment.map_or_else(|| planes(real_rgb), |rng| augmented(real_rgb, size_px, rng)),
+            flow_px: flow_planes(&labels.label_px[of_views(2 * area)], area),
+            mask: labels.valid[of_views(area)].iter().map(|v| f32::from(u8::from(*v != 0))).collect(),
+            photo: photo(views, flow, labels, instance),
+        }
+    }
+
+    /// Rendered views.
+    #[must_use]
+    pub fn views(&self) -> usize {
+        self.mask.len() * 3 / self.real.len()
+    }
+}
+
+fn photo(
+    views: &ReferenceViews<'_>,
+    flow: &FlowFields<'_>,
+    labels: &PseudoLabels<'_>,
+    instance: usize,
+) -> Option<Photo> {
+    let (n, m) = (views.header.views_per_instance as usize, views.header.partners_per_instance as usize);
+    let area = (views.header.size_px as usize).pow(2);
+    let present = (instance * m..(instance + 1) * m).filter(|partner| views.partners[*partner].present == 1);
+    let partner = |partner: usize| {
+        let field = views.views.len() + partner;
+        let crop = grey(&views.partner_rgb[partner * 3 * area..(partner + 1) * 3 * area]);
+        (crop, flow.flow_px[field * 2 * area..(field + 1) * 2 * area].to_vec())
+    };
+    let partners: Vec<_> = present.map(partner).collect();
+    let first = instance * n * area..(instance * n + 1) * area;
+    (!partners.is_empty()).then(|| Photo {
+        grey: grey(&views.real_rgb[instance * 3 * area..(instance + 1) * 3 * area]),
+        mask: views.mask[first.clone()].to_vec(),
+        valid: labels.valid[first].to_vec(),
+        partners,
+    })
+}
