@@ -57,8 +57,7 @@ struct Nodes {
 
 impl Nodes {
     fn open(scene: &Path, models: &Path, weights: &Path, size_px: u32) -> Result<Self, Error> {
-        let context =
-            Context { name: "audit".into(), seed: 1, out_dir: "/tmp".into(), restarts: 0, replay: true };
+        let context = Context { name: "audit".into(), seed: 1, out_dir: "/tmp".into(), restarts: 0, replay: true };
         let renderer = RendererConfig { views: 4, ..RendererConfig::new(models.to_owned(), size_px) };
         let flow = FlowConfig {
             model: weights.to_owned(),

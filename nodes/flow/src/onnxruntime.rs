@@ -4,7 +4,8 @@ use ort::ep::ExecutionProviderDispatch;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::TensorRef;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 const ENGINE: &str = "ONNX Runtime";
 
@@ -14,22 +15,29 @@ pub(crate) struct OnnxRuntime {
     provider: ExecutionProvider,
 }
 
+/// The library and its environment: a process has one, whatever the number of networks.
+static LOADED: Mutex<Option<(PathBuf, Environment)>> = Mutex::new(None);
+
 impl OnnxRuntime {
     pub(crate) fn open(onnx: &[u8], library: &Path, config: &EngineConfig) -> Result<Self, FlowError> {
-        let environment = load(library)?;
-        let session = session(&environment, onnx, config)
+        let failed = |cause: String| FlowError::Library { path: library.to_owned(), cause };
+        let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
+        let (path, environment) = match loaded.take() {
+            Some(found) => loaded.insert(found),
+            None => loaded.insert((library.to_owned(), load(library).map_err(failed)?)),
+        };
+        if path != library {
+            return Err(failed(format!("this process has loaded {} already", path.display())));
+        }
+        let session = session(environment, onnx, config)
             .map_err(|cause| FlowError::Load { engine: ENGINE, cause: cause.to_string() })?;
         Ok(Self { session, provider: config.provider })
     }
 }
 
-fn load(library: &Path) -> Result<Environment, FlowError> {
-    let failed = |cause: String| FlowError::Library { path: library.to_owned(), cause };
-    ort::init_from(library)
-        .map_err(|error| failed(error.to_string()))?
-        .with_name("pseudoflow")
-        .build()
-        .map_err(|error| failed(error.to_string()))
+fn load(library: &Path) -> Result<Environment, String> {
+    let builder = ort::init_from(library).map_err(|error| error.to_string())?;
+    builder.with_name("pseudoflow").build().map_err(|error| error.to_string())
 }
 
 fn session(environment: &Environment, onnx: &[u8], config: &EngineConfig) -> ort::Result<Session> {

@@ -188,7 +188,8 @@ pub(crate) fn parse_with(bytes: &[u8], path: &Path) -> Result<Parsed> {
     let bad = |message: String| NetworkError::WeightsFormat { path: path.into(), message };
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| bad(e.to_string()))?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| bad(e.to_string()))?;
-    let metadata = header.metadata().clone().unwrap_or_default();
+    let mut metadata = header.metadata().clone().unwrap_or_default();
+    lift(&mut metadata);
     let mut tensors = BTreeMap::new();
     for (name, view) in file.tensors() {
         // Counters of the authors' batch norms carry nothing.
@@ -202,6 +203,17 @@ pub(crate) fn parse_with(bytes: &[u8], path: &Path) -> Result<Parsed> {
         tensors.insert(name.clone(), NamedTensor { name, shape: view.shape().to_vec(), data });
     }
     Ok((read_info(&metadata).map_err(bad)?, tensors, metadata))
+}
+
+/// Makes the texts that [`serialize_with`] put beside the info entries of their own.
+fn lift(metadata: &mut HashMap<String, String>) {
+    let text = metadata.get("pseudoflow").map(String::as_str).unwrap_or_default();
+    if let Ok(serde_json::Value::Object(fields)) = serde_json::from_str(text) {
+        let texts = fields.iter().filter_map(|(key, value)| Some((key.clone(), value.as_str()?.to_owned())));
+        texts.filter(|(key, _)| key.starts_with("pseudoflow_")).for_each(|(key, value)| {
+            metadata.insert(key, value);
+        });
+    }
 }
 
 fn read_info(metadata: &HashMap<String, String>) -> std::result::Result<WeightsInfo, String> {
@@ -226,9 +238,10 @@ pub(crate) fn serialize_with<'a>(
         let view = TensorView::new(Dtype::F32, t.shape.clone(), b).expect("data as long as its shape says");
         (t.name.as_str(), view)
     });
-    let text = serde_json::to_string(info).expect("plain struct");
-    let mut metadata = HashMap::from([("pseudoflow".to_string(), text)]);
-    metadata.extend(more.iter().map(|(key, value)| (key.to_string(), value.clone())));
+    // All under one key: the library writes several in an order of chance.
+    let mut text = serde_json::to_value(info).expect("plain struct");
+    more.iter().for_each(|(key, value)| text[key] = value.clone().into());
+    let metadata = HashMap::from([("pseudoflow".to_string(), text.to_string())]);
     safetensors::serialize(views, Some(metadata)).expect("names are unique, shapes are small")
 }
 

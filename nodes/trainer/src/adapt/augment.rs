@@ -143,11 +143,11 @@ mod tests {
             rgb[3 * p..3 * p + 3].fill(230);
         }
         let centre = |planes: &[f32]| {
-            let low = planes.iter().copied().fold(f32::INFINITY, f32::min);
+            let red = &planes[..32 * 32];
+            let (low, high) = red.iter().fold((1.0_f32, -1.0_f32), |(low, high), v| (low.min(*v), high.max(*v)));
             let (mut x, mut y, mut sum) = (0.0, 0.0, 0.0);
-            for (p, v) in planes[..32 * 32].iter().enumerate() {
-                let w = (v - low).powi(4);
-                (x, y, sum) = (x + w * (p % 32) as f32, y + w * (p / 32) as f32, sum + w);
+            for (p, _) in red.iter().enumerate().filter(|(_, v)| **v > 0.5 * (low + high)) {
+                (x, y, sum) = (x + (p % 32) as f32, y + (p / 32) as f32, sum + 1.0);
             }
             (x / sum, y / sum)
         };
