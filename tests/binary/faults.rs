@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{into, poses, pseudoflow};
+use common::{into, poses, process_of, pseudoflow};
 use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -17,18 +17,6 @@ fn start(out: &Path) -> Child {
         .stderr(Stdio::null())
         .spawn()
         .expect("the binary starts")
-}
-
-/// The process that runs a node of this run.
-fn process_of(node: &str, out: &Path) -> Option<u32> {
-    let marker = out.display().to_string();
-    std::fs::read_dir("/proc").ok()?.flatten().find_map(|entry| {
-        let pid = entry.file_name().to_str()?.parse().ok()?;
-        let line = std::fs::read(entry.path().join("cmdline")).ok()?;
-        let words: Vec<&str> = line.split(|b| *b == 0).filter_map(|w| std::str::from_utf8(w).ok()).collect();
-        let is_node = words.get(1) == Some(&"node") && words.get(2) == Some(&node);
-        (is_node && words.iter().any(|w| w.starts_with(&marker))).then_some(pid)
-    })
 }
 
 fn wait_for_frames(count: usize, out: &Path) {

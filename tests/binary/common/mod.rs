@@ -39,3 +39,15 @@ pub(crate) fn poses(out: &Path) -> BTreeMap<u64, String> {
     let index = |line: &str| line.split("\"index\":").nth(1)?.split(',').next()?.parse().ok();
     text.lines().filter(|line| line.ends_with('}')).filter_map(|line| Some((index(line)?, line.to_owned()))).collect()
 }
+
+/// The process that runs a node of this run.
+pub(crate) fn process_of(node: &str, out: &Path) -> Option<u32> {
+    let marker = out.display().to_string();
+    std::fs::read_dir("/proc").ok()?.flatten().find_map(|entry| {
+        let pid = entry.file_name().to_str()?.parse().ok()?;
+        let line = std::fs::read(entry.path().join("cmdline")).ok()?;
+        let words: Vec<&str> = line.split(|b| *b == 0).filter_map(|w| std::str::from_utf8(w).ok()).collect();
+        let is_node = words.get(1) == Some(&"node") && words.get(2) == Some(&node);
+        (is_node && words.iter().any(|w| w.starts_with(&marker))).then_some(pid)
+    })
+}

@@ -1,0 +1,99 @@
+//! Training as processes: the same bytes of weights whatever dies in between, and whenever it is interrupted.
+
+mod common;
+
+use common::{process_of, pseudoflow};
+use std::path::Path;
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+
+const NODES: [&str; 5] = ["player", "renderer", "flow", "consistency", "trainer"];
+const STEPS: u64 = 6;
+
+/// A short training on the demo's recording, small enough for a test; labels of any quality will do.
+fn start(out: &Path) -> Child {
+    let out = out.display();
+    let settings = [
+        format!("trainer.out={out}/training"),
+        format!("trainer.steps={STEPS}"),
+        "trainer.frames_per_step=2".into(),
+        "trainer.publish_every=1".into(),
+        "trainer.size_px=64".into(),
+        format!("player.sampling.samples={}", 2 * STEPS),
+        "player.sampling.partners=1".into(),
+        "renderer.size_px=64".into(),
+        "flow.size_px=64".into(),
+        "flow.iterations=4".into(),
+        "flow.lockstep={frames_per_step: 2, publish_every: 1}".into(),
+        "consistency.tau_px_at_256=16".into(),
+        "window=6".into(),
+    ];
+    let settings = settings.into_iter().flat_map(|setting| ["--set".to_owned(), setting]);
+    pseudoflow()
+        .args(["run", "config/graphs/adapt.yaml", "--out", &format!("{out}/run")])
+        .args(settings)
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the binary starts")
+}
+
+fn steps(out: &Path) -> usize {
+    let log = std::fs::read_to_string(out.join("training/adapt.csv")).unwrap_or_default();
+    log.lines().count().saturating_sub(1)
+}
+
+fn teacher(out: &Path) -> Vec<u8> {
+    std::fs::read(out.join("training/teacher.safetensors")).expect("the training wrote its teacher")
+}
+
+#[test]
+fn killing_any_node_leaves_the_same_weights() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let calm = folder.path().join("calm");
+    assert!(start(&calm).wait().expect("it ends").success());
+    assert_eq!(steps(&calm), STEPS as usize);
+    let log = std::fs::read_to_string(calm.join("training/adapt.csv")).expect("the log");
+    assert!(log.lines().skip(1).any(|line| !line.contains(",NaN,NaN")), "some step trained: {log}");
+    let start_weights = std::fs::read(common::root().join("config/weights/nano_tabletop.safetensors"));
+    assert_ne!(teacher(&calm), start_weights.expect("the shipped weights"));
+    for node in NODES {
+        let out = folder.path().join(node);
+        let mut run = start(&out);
+        let deadline = Instant::now() + Duration::from_secs(120);
+        while steps(&out) < 2 {
+            assert!(Instant::now() < deadline, "no two steps within two minutes");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let pid = process_of(node, &out).unwrap_or_else(|| panic!("{node} runs"));
+        let kill = std::process::Command::new("kill").args(["-9", &pid.to_string()]).status();
+        assert!(kill.expect("kill is there").success());
+        assert!(run.wait().expect("it ends").success(), "the training without {node} ends well");
+        assert!(teacher(&out) == teacher(&calm), "other weights after {node} was killed");
+        assert_eq!(steps(&out), STEPS as usize);
+    }
+}
+
+#[test]
+fn adapt_refuses_what_it_cannot_use() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("out.safetensors");
+    let refused = |more: &[&str]| {
+        let base = ["adapt", "--objects", "config/objects/tabletop", "--out", out.to_str().expect("utf-8")];
+        let output = common::run(&[&base[..], more].concat());
+        assert!(!output.status.success(), "{more:?}");
+        assert!(!out.exists(), "nothing is written");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let weights = "config/weights/nano_tabletop.safetensors";
+    let said = refused(&["--bag", "bags/tabletop_demo", "--weights", "nowhere.safetensors"]);
+    assert!(said.contains("nowhere.safetensors"), "{said}");
+    let said = refused(&["--bag", "nowhere", "--weights", weights]);
+    assert!(said.contains("nowhere"), "{said}");
+    // Without the topic of its initial poses the bag has nothing to train on.
+    let said = refused(&["--bag", "bags/tabletop_demo", "--weights", weights]);
+    assert!(said.contains("initial pose"), "{said}");
+    let said = refused(&["--bag", "bags/tabletop_demo", "--weights", weights, "--resume"]);
+    assert!(said.contains("--resume"), "{said}");
+    let said = refused(&["--bag", "bags/tabletop_demo", "--weights", weights, "--held-out-every", "1"]);
+    assert!(said.contains("--held-out-every"), "{said}");
+}
