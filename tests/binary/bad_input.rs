@@ -128,3 +128,23 @@ fn a_mesh_in_the_wrong_unit() {
     args.extend(settings.iter().map(String::as_str));
     assert_says(&refused(&args), &["models_info.json", "diameter"]);
 }
+
+#[test]
+fn result_files_and_their_names() {
+    let weights = "config/weights/nano_tabletop.safetensors";
+    let folder = tempfile::tempdir().expect("a folder");
+    let named = |name: &str| folder.path().join(name).display().to_string();
+    // A dataset of no images will do: the name is looked at before anything is refined.
+    let dataset = folder.path().join("set");
+    std::fs::create_dir_all(dataset.join("test")).expect("a folder");
+    let objects = common::root().join("config/objects/tabletop");
+    std::os::unix::fs::symlink(objects, dataset.join("models")).expect("a link");
+    let dataset = dataset.display().to_string();
+    let eval = |csv: &str, more: &[&str]| refused(&[&["eval", "--dataset", &dataset, "--csv", csv], more].concat());
+    assert_says(&eval(&named("poses.csv"), &["--weights", weights]), &["poses.csv", "METHOD_set-test.csv"]);
+    assert_says(&eval(&named("a_b_set-test.csv"), &["--weights", weights]), &["METHOD without `_`"]);
+    assert_says(&eval(&named("nowhere_set-test.csv"), &[]), &["set"]);
+    assert_says(&refused(&["eval"]), &["--dataset"]);
+    assert_says(&refused(&["eval", "--compare", "a.json", "b.json"]), &["a.json"]);
+    assert!(std::fs::read_dir(folder.path()).expect("the folder").count() == 1, "nothing is left behind");
+}

@@ -16,23 +16,23 @@ use std::process::ExitCode;
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The dataset: a folder with `models/` and splits, as BOP lays them out.
-    #[arg(long)]
-    dataset: PathBuf,
+    #[arg(long, required_unless_present = "compare")]
+    dataset: Option<PathBuf>,
     /// The split.
     #[arg(long, default_value = "test")]
     split: String,
     /// Weights to refine with: `.safetensors` or `.onnx`. Without them, `--csv` is scored.
     #[arg(long)]
     weights: Option<PathBuf>,
-    /// Initial poses: a BOP result file. The default is each scene's `init_poses.json`.
+    /// Initial poses: a BOP result file, or `initializer`. The default is each scene's `init_poses.json`.
     #[arg(long)]
     init: Option<PathBuf>,
     /// A target list such as `test_targets_bop19.json`.
     #[arg(long)]
     targets: Option<PathBuf>,
-    /// The result file: written when weights are given, else read.
-    #[arg(long)]
-    csv: PathBuf,
+    /// The result file, METHOD_DATASET-SPLIT.csv: written when weights are given, else read.
+    #[arg(long, required_unless_present = "compare")]
+    csv: Option<PathBuf>,
     /// Folder for `report.json` and `report.html`.
     #[arg(long)]
     report: Option<PathBuf>,
@@ -63,6 +63,9 @@ pub(crate) struct Args {
     /// Seed of the run.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Instead of evaluating: shows the difference of two reports and writes `compare.html` into `--report`.
+    #[arg(long, num_args = 2, value_names = ["BEFORE.json", "AFTER.json"])]
+    compare: Option<Vec<PathBuf>>,
 }
 
 #[derive(clap::Args)]
@@ -76,12 +79,35 @@ pub(crate) struct CompareArgs {
     out: PathBuf,
 }
 
+impl Args {
+    /// The parser sees to it that there is one, but for `--compare`.
+    fn dataset(&self) -> &Path {
+        self.dataset.as_deref().unwrap_or(Path::new(""))
+    }
+
+    /// As [`Self::dataset`].
+    fn csv(&self) -> &Path {
+        self.csv.as_deref().unwrap_or(Path::new(""))
+    }
+}
+
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
-    let dataset = load_dataset(&args.dataset, &args.split, args.targets.as_deref())?;
+    if let Some([before, after]) = args.compare.as_deref() {
+        let folder = args.report.clone().unwrap_or_default();
+        return compare(&CompareArgs {
+            before: before.clone(),
+            after: after.clone(),
+            out: folder.join("compare.html"),
+        });
+    }
+    if args.weights.is_some() {
+        check_name(args)?;
+    }
+    let dataset = load_dataset(args.dataset(), &args.split, args.targets.as_deref())?;
     let sets = match &args.weights {
         Some(weights) => refine_dataset(args, weights, &dataset)?,
         None => {
-            let estimates = read_results(&args.csv, Some(&dataset.known))?;
+            let estimates = read_results(args.csv(), Some(&dataset.known))?;
             vec![NamedEstimates { name: "estimate".into(), estimates }]
         }
     };
@@ -98,14 +124,30 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// A submission is named METHOD_DATASET-SPLIT.csv, and the benchmark reads dataset and split from there.
+fn check_name(args: &Args) -> Result<()> {
+    let dataset = args.dataset().canonicalize().unwrap_or_else(|_| args.dataset().to_owned());
+    let dataset = dataset.file_name().and_then(|name| name.to_str()).unwrap_or("DATASET").to_owned();
+    let ending = format!("_{dataset}-{}.csv", args.split);
+    let name = args.csv().file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let method = name.strip_suffix(&ending).unwrap_or_default();
+    if method.is_empty() || method.contains(['_', '-']) {
+        bail!("`--csv {}`: a result file is named METHOD{ending}, METHOD without `_` and `-`", args.csv().display());
+    }
+    Ok(())
+}
+
 /// Refines every image; the CSV grows image by image beside its place and is renamed when whole.
 fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
     let initial = match &args.init {
+        Some(word) if word.as_os_str() == "initializer" => {
+            bail!("`--init initializer`: this build has no initializer yet: give a BOP result file, or leave it out")
+        }
         Some(path) => read_results(path, Some(&dataset.known))?,
         None => dataset.initial_estimates(),
     };
     let mut pipeline = Pipeline::open(pipeline_config(args, weights, dataset)?)?;
-    let part = args.csv.with_extension("csv.part");
+    let part = args.csv().with_extension("csv.part");
     let (mut writer, mut refined) = match args.resume {
         true => ResultsWriter::resume(&part)?,
         false => (ResultsWriter::create(&part)?, Vec::new()),
@@ -122,7 +164,7 @@ fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<
         bar.inc(1);
     }
     bar.finish_and_clear();
-    std::fs::rename(&part, &args.csv).with_context(|| format!("{}: cannot be written", args.csv.display()))?;
+    std::fs::rename(&part, args.csv()).with_context(|| format!("{}: cannot be written", args.csv().display()))?;
     Ok(vec![
         NamedEstimates { name: "init".into(), estimates: initial },
         NamedEstimates { name: "refined".into(), estimates: refined },
