@@ -6,15 +6,14 @@
 //! ```
 //!
 //! For each tau: the share of the object's pixels that keep a label, and the share of these within 2 px (of a 256 px crop)
-//! of the truth. With PICTURES, sigma, valid mask and flow of some instances are drawn there.
+//! of the truth. With PICTURES, the labels of some instances are drawn there.
 
 #![allow(clippy::print_stdout, reason = "a measurement for people")]
 
 use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
-use pseudoflow_consistency::{ConsistencyConfig, ConsistencyNode};
+use pseudoflow_consistency::{ConsistencyConfig, ConsistencyNode, label_panel};
 use pseudoflow_flow::{EngineConfig, FlowConfig, FlowNode, Network};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion};
-use pseudoflow_imaging::RgbImage;
 use pseudoflow_msgs::{FlowFields, Message, PseudoLabels, ReferenceViews};
 use pseudoflow_player::{PlayerConfig, PlayerNode};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
@@ -130,28 +129,16 @@ fn count(views: &ReferenceViews<'_>, labels: &PseudoLabels<'_>, gt: &Value, tall
     Ok(())
 }
 
-/// Rendering, real crop, sigma (blue 0 to red 4 px at 256), labels at tau = 1.
-fn draw(views: &ReferenceViews<'_>, labels: &PseudoLabels<'_>, folder: &Path) -> Result<(), Error> {
-    let (size_px, n) = (views.header.size_px, views.header.views_per_instance as usize);
-    let area = (size_px as usize).pow(2);
-    let scale = size_px as f32 / 256.0;
+fn draw(
+    views: &ReferenceViews<'_>,
+    flow: &FlowFields<'_>,
+    labels: &PseudoLabels<'_>,
+    folder: &Path,
+) -> Result<(), Error> {
     for instance in 0..views.header.instances as usize {
-        let v = instance * n;
-        let mut picture = RgbImage::new(4 * size_px, size_px);
-        for pixel in 0..area {
-            let (x, y) = (pixel as u32 % size_px, pixel as u32 / size_px);
-            let rgb = |plane: &[u8], at: usize| image::Rgb([plane[3 * at], plane[3 * at + 1], plane[3 * at + 2]]);
-            picture.put_pixel(x, y, rgb(views.rgb, v * area + pixel));
-            picture.put_pixel(x + size_px, y, rgb(views.real_rgb, instance * area + pixel));
-            let sigma = labels.sigma_px[v * area + pixel] / scale;
-            let heat = (sigma / 4.0).clamp(0.0, 1.0);
-            let colour = [(255.0 * heat) as u8, 40, (255.0 * (1.0 - heat)) as u8];
-            picture.put_pixel(x + 2 * size_px, y, image::Rgb(if sigma.is_finite() { colour } else { [90; 3] }));
-            let kept = sigma < 1.0 && labels.valid[v * area + pixel] != 0;
-            picture.put_pixel(x + 3 * size_px, y, image::Rgb([if kept { 255 } else { 0 }; 3]));
-        }
-        let name = format!("{:06}_{:02}.png", views.header.image_id, views.views[v].pose.object_id);
-        picture.save(folder.join(name))?;
+        let Some(panel) = label_panel(views, flow, labels, instance) else { continue };
+        let object_id = labels.info[instance].object_id;
+        panel.save(folder.join(format!("{:06}_{object_id:02}.png", views.header.image_id)))?;
     }
     Ok(())
 }
@@ -170,12 +157,12 @@ fn main() -> Result<(), Error> {
     for (i, number) in (0..nodes.player.count()).step_by(every).enumerate() {
         let messages = nodes.frame(number as u64)?;
         let views = ReferenceViews::view(bytes(&messages, "views")?)?;
-        FlowFields::view(bytes(&messages, "flow")?)?;
+        let flow = FlowFields::view(bytes(&messages, "flow")?)?;
         let labels = PseudoLabels::view(bytes(&messages, "labels")?)?;
         count(&views, &labels, &gt, &mut tally)?;
         if let Some(folder) = pictures.as_ref().filter(|_| i < 3) {
             std::fs::create_dir_all(folder)?;
-            draw(&views, &labels, folder)?;
+            draw(&views, &flow, &labels, folder)?;
         }
     }
     println!("without a rule: {:.3} within 2 px", tally.all_right as f64 / tally.visible as f64);

@@ -9,6 +9,7 @@
 
 mod error;
 mod node;
+mod picture;
 mod votes;
 
 #[cfg(test)]
@@ -16,4 +17,5 @@ mod tests;
 
 pub use error::ConsistencyError;
 pub use node::{ConsistencyConfig, ConsistencyNode};
+pub use picture::label_panel;
 pub use votes::{Label, Labels, Rule, View, label};

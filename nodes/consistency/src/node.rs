@@ -1,10 +1,14 @@
-use crate::ConsistencyError;
 use crate::votes::{Label, Labels, Rule, View, label};
+use crate::{ConsistencyError, label_panel};
 use pseudoflow_geometry::{Intrinsics, pose_from_quaternion};
-use pseudoflow_msgs::{FlowFields, InstanceLabels, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut, ReferenceViews};
+use pseudoflow_imaging::encode_jpeg;
+use pseudoflow_msgs::{
+    FlowFields, InstanceLabels, Message, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut, ReferenceViews,
+};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Settings of the consistency node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -20,6 +24,10 @@ pub struct ConsistencyConfig {
     pub min_valid_px_at_128: u32,
     /// Accepts every flow of the teacher, whether or not the views agree: the paper's baseline.
     pub accept_all: bool,
+    /// Writes pictures of the labels of every n-th frame (the first instance's view 0) into [`Self::pictures`].
+    pub picture_every: Option<u64>,
+    /// Folder of the pictures.
+    pub pictures: PathBuf,
 }
 
 impl Default for ConsistencyConfig {
@@ -30,6 +38,8 @@ impl Default for ConsistencyConfig {
             label: Label::TeacherFlow,
             min_valid_px_at_128: 200,
             accept_all: false,
+            picture_every: None,
+            pictures: PathBuf::from("out/labels"),
         }
     }
 }
@@ -143,6 +153,9 @@ impl Node for ConsistencyNode {
         if !(config.tau_px_at_256 > 0.0 && config.tau_px_at_256 <= 64.0) {
             return bad("tau_px_at_256", config.tau_px_at_256.to_string(), "0 < tau <= 64 pixels");
         }
+        if config.picture_every == Some(0) {
+            return bad("picture_every", "0".into(), "at least 1, or leave it out");
+        }
         if !(1..=16).contains(&config.min_views) {
             return bad("min_views", config.min_views.to_string(), "1..=16");
         }
@@ -150,6 +163,9 @@ impl Node for ConsistencyNode {
     }
 
     fn create(config: ConsistencyConfig, _: &Context) -> Result<Self, NodeError> {
+        if config.picture_every.is_some() {
+            std::fs::create_dir_all(&config.pictures).map_err(|e| format!("{}: {e}", config.pictures.display()))?;
+        }
         Ok(Self { config })
     }
 
@@ -167,9 +183,17 @@ impl Node for ConsistencyNode {
             tau_px: self.rule(views.header.size_px).tau_px as f32,
         };
         let mut result = Ok(());
+        let pictured = self.config.picture_every.filter(|every| inputs.key().index.is_multiple_of(*every));
+        let mut picture = None;
         outputs.send("labels", inputs.key(), PseudoLabels::byte_len(&header), &mut |bytes| {
             result = self.label(&views, &flow, &mut PseudoLabels::write(bytes, header));
+            let labels = pictured.and_then(|_| PseudoLabels::view(bytes).ok());
+            picture = labels.and_then(|labels| label_panel(&views, &flow, &labels, 0));
         })?;
+        if let Some(picture) = picture {
+            let path = self.config.pictures.join(format!("{:08}.jpg", inputs.key().index));
+            std::fs::write(&path, encode_jpeg(&picture, 90)?).map_err(|e| format!("{}: {e}", path.display()))?;
+        }
         result
     }
 }

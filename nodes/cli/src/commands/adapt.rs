@@ -74,9 +74,6 @@ pub(crate) struct Args {
     /// Folder of the report; without: that of the training.
     #[arg(long)]
     report: Option<PathBuf>,
-    /// Records sigma, masks, flow and overlays of the labels as a rosbag2 folder there.
-    #[arg(long)]
-    record: Option<PathBuf>,
     /// Goes on from the checkpoint of an interrupted training.
     #[arg(long)]
     resume: bool,

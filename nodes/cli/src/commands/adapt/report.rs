@@ -33,6 +33,7 @@ pub(super) fn write(args: &Args, folder: &Path, verdict: &Verdict) -> Result<Pat
     std::fs::write(out.join("verdict.json"), json).with_context(|| format!("{}: cannot be written", out.display()))?;
     let mut body = format!("<pre>{}</pre>\n", verdict.text());
     body += &curves(&folder.join(training::LOG))?;
+    body += &labels(&folder.join(training::LABELS))?;
     body += "<h2>Held-out instances</h2>\n<p class=\"note\">Red: refined with the weights that went in. Green: with those \
              that came out. No truth is known here; the gain is that of the agreement.</p>\n";
     body += &pictures(args, verdict)?;
@@ -43,6 +44,31 @@ pub(super) fn write(args: &Args, folder: &Path, verdict: &Verdict) -> Result<Pat
     );
     std::fs::write(&path, page).with_context(|| format!("{}: cannot be written", path.display()))?;
     Ok(path)
+}
+
+/// Label pictures in the order of the training.
+fn labels(folder: &Path) -> Result<String> {
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path()).collect();
+    files.sort();
+    let mut html =
+        "<h2>Labels while training</h2>\n<p class=\"note\">Rendering, real crop, the teacher's flow, disagreement of \
+                    the views (black 0 to white 4 px of 256, blue: seen by too few), what is kept.</p>\n"
+            .to_owned();
+    for file in files {
+        let jpeg = std::fs::read(&file).with_context(|| format!("{}: cannot be read", file.display()))?;
+        let name = file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        let _ = writeln!(
+            html,
+            "<figure><img width=\"900\" alt=\"labels\" src=\"{}\"><figcaption>sample {}</figcaption></figure>",
+            data_uri(&jpeg),
+            name.trim_start_matches('0')
+        );
+    }
+    Ok(html)
+}
+
+fn data_uri(jpeg: &[u8]) -> String {
+    format!("data:image/jpeg;base64,{}", base64::engine::general_purpose::STANDARD.encode(jpeg))
 }
 
 fn curves(log: &Path) -> Result<String> {
@@ -97,11 +123,11 @@ fn pictures(args: &Args, verdict: &Verdict) -> Result<String> {
     let mut html = String::new();
     for case in chosen(&verdict.cases) {
         let picture = picture(case, &rasteriser)?;
-        let data = base64::engine::general_purpose::STANDARD.encode(encode_jpeg(&picture, JPEG_QUALITY)?);
+        let data = data_uri(&encode_jpeg(&picture, JPEG_QUALITY)?);
         let name = objects.get(case.before.pose.object_id).map(|o| o.name.clone())?;
         let _ = writeln!(
             html,
-            "<figure><img width=\"{PANEL_PX}\" alt=\"{name}\" src=\"data:image/jpeg;base64,{data}\"><figcaption>{name}, \
+            "<figure><img width=\"{PANEL_PX}\" alt=\"{name}\" src=\"{data}\"><figcaption>{name}, \
              scene {}, image {}: {:+.2}</figcaption></figure>",
             case.scene_id,
             case.image_id,

@@ -9,6 +9,10 @@ pub(super) use pseudoflow_trainer::adapt::files::{CHECKPOINT, LOG, TEACHER};
 
 const GRAPH: &str = include_str!("../../../../../config/graphs/adapt.yaml");
 
+/// Folder of label pictures, and how many of them.
+pub(super) const LABELS: &str = "labels";
+const PICTURES: u64 = 12;
+
 /// Steps between two publications of the teacher.
 const PUBLISH_EVERY: u64 = 10;
 
@@ -53,6 +57,8 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
         ),
         ("consistency.tau_px_at_256", json!(args.tau)),
         ("consistency.accept_all", json!(args.accept_all_labels)),
+        ("consistency.picture_every", json!((samples / PICTURES).max(1))),
+        ("consistency.pictures", json!(folder.join(LABELS))),
         ("trainer.weights", json!(args.weights)),
         ("trainer.network", network),
         ("trainer.size_px", json!(args.size)),
