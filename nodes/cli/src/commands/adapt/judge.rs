@@ -18,6 +18,10 @@ use std::path::Path;
 
 /// At most this many held-out frames are refined.
 const MOST_FRAMES: usize = 80;
+/// Fewer held-out frames say nothing.
+const LEAST_FRAMES: usize = 5;
+/// The lower end of the gain's interval must be above this.
+const LEAST_GAIN: f64 = 0.002;
 const RESAMPLINGS: usize = 2000;
 /// Width and height of the pictures of the report.
 pub(super) const PANEL_PX: u32 = 220;
@@ -58,8 +62,9 @@ pub(super) struct Verdict {
 }
 
 impl Verdict {
+    /// A gain that chance does not explain and that somebody could notice.
     pub(super) fn better(&self) -> bool {
-        self.interval[0] > 0.0
+        self.frames >= LEAST_FRAMES && self.interval[0] > LEAST_GAIN
     }
 
     pub(super) fn text(&self) -> String {
@@ -78,7 +83,11 @@ impl Verdict {
             self.after - self.before,
             self.interval[0],
             self.interval[1],
-            if self.better() { "better" } else { "not better" },
+            match self.frames < LEAST_FRAMES {
+                true => "too few frames to tell",
+                false if self.better() => "better",
+                false => "not better",
+            },
         )
     }
 }
@@ -232,7 +241,8 @@ mod tests {
         let noise = of((0..40).map(|i| if i % 2 == 0 { 0.3 } else { -0.29 }));
         assert!(!noise.better(), "{:?}", noise.interval);
         assert!(!of((0..40).map(|_| -0.1)).better());
-        assert!(!of((0..40).map(|_| 0.0)).better());
+        assert!(!of((0..40).map(|_| 0.001)).better(), "nobody would notice");
+        assert!(!of((0..4).map(|_| 0.5)).better(), "too few frames");
     }
 
     #[test]
