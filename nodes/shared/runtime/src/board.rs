@@ -48,6 +48,8 @@ pub(crate) enum Word {
     FirstNs = 8,
     /// When the last frame ended, monotonic ns.
     LastNs = 9,
+    /// Time spent in frames, ns.
+    WorkNs = 10,
 }
 
 /// Where a node stands.
@@ -166,6 +168,7 @@ impl Board {
         let _ = first.compare_exchange(0, begin_ns, Ordering::AcqRel, Ordering::Relaxed);
         slot[Word::LastNs as usize].store(end_ns, Ordering::Release);
         slot[Word::Frames as usize].fetch_add(1, Ordering::AcqRel);
+        slot[Word::WorkNs as usize].fetch_add(end_ns.saturating_sub(begin_ns), Ordering::AcqRel);
         histogram::record(&slot[WORK..AGE], end_ns.saturating_sub(begin_ns));
         histogram::record(&slot[AGE..AGE + BUCKETS], end_ns.saturating_sub(origin_ns));
     }

@@ -89,10 +89,11 @@ pub(super) fn initial_poses(args: &Args) -> (Option<String>, Option<String>) {
 
 /// Busy share and times of the stages.
 pub(super) fn print_stages(summary: &Summary) {
-    println!("{:12} {:>7} {:>10} {:>10}", "node", "frames", "ms p50", "ms p99");
+    println!("{:12} {:>7} {:>7} {:>10} {:>10}", "node", "frames", "busy %", "ms p50", "ms p99");
     for node in &summary.nodes {
         if let Some([p50, p99]) = node.work_ms {
-            println!("{:12} {:>7} {p50:>10.1} {p99:>10.1}", node.name, node.frames);
+            let busy = 100.0 * node.busy.unwrap_or(0.0);
+            println!("{:12} {:>7} {busy:>7.0} {p50:>10.1} {p99:>10.1}", node.name, node.frames);
         }
     }
 }

@@ -1,6 +1,6 @@
 use super::SupervisorError;
 use crate::board::{Board, Word};
-use crate::plan::Plan;
+use crate::plan::{Plan, PlannedNode};
 use serde::Serialize;
 use std::fmt;
 use std::io::Write;
@@ -24,6 +24,8 @@ pub struct NodeSummary {
     pub frames: u64,
     /// Frames per second between the first and the last.
     pub rate_hz: Option<f64>,
+    /// Share of the run, from the first frame of any node to the last, that it spent in frames, 0..1.
+    pub busy: Option<f64>,
     /// Milliseconds of work in a frame: median and 99th percentile, good to 6 %.
     pub work_ms: Option<[f64; 2]>,
     /// Milliseconds from the source to this node's end of the frame: median and 99th percentile.
@@ -39,7 +41,11 @@ pub struct NodeSummary {
 impl Summary {
     pub(super) fn of(plan: &Plan, board: &Board) -> Self {
         let nodes = plan.nodes.iter().enumerate();
-        Self { nodes: nodes.map(|(i, node)| NodeSummary::of(&node.name, board, i)).collect(), asked_to_stop: false }
+        let times = |word| (0..plan.nodes.len()).map(move |node| board.get(node, word)).filter(|ns| *ns > 0);
+        let first_ns = times(Word::FirstNs).min().unwrap_or(0);
+        let span_ns = times(Word::LastNs).max().unwrap_or(0).saturating_sub(first_ns);
+        let of = |(i, node): (usize, &PlannedNode)| NodeSummary::of(&node.name, board, i, span_ns);
+        Self { nodes: nodes.map(of).collect(), asked_to_stop: false }
     }
 
     pub(super) fn write(&self, path: &Path) -> Result<(), SupervisorError> {
@@ -50,7 +56,7 @@ impl Summary {
 }
 
 impl NodeSummary {
-    fn of(name: &str, board: &Board, node: usize) -> Self {
+    fn of(name: &str, board: &Board, node: usize, span_ns: u64) -> Self {
         let frames = board.get(node, Word::Frames);
         let seconds = board.get(node, Word::LastNs).saturating_sub(board.get(node, Word::FirstNs)) as f64 * 1e-9;
         let both = |read: &dyn Fn(f64) -> Option<f64>| Some([read(0.5)?, read(0.99)?]);
@@ -58,6 +64,7 @@ impl NodeSummary {
             name: name.to_owned(),
             frames,
             rate_hz: (frames > 1 && seconds > 0.0).then(|| (frames - 1) as f64 / seconds),
+            busy: (span_ns > 0).then(|| board.get(node, Word::WorkNs) as f64 / span_ns as f64),
             work_ms: both(&|share| board.work_ms(node, share)),
             age_ms: both(&|share| board.age_ms(node, share)),
             drops: board.get(node, Word::Drops),
@@ -72,17 +79,18 @@ impl fmt::Display for Summary {
         let width = self.nodes.iter().map(|node| node.name.len()).chain([4]).max().unwrap_or(4);
         writeln!(
             f,
-            "{:width$} {:>8} {:>8} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
-            "node", "frames", "rate/s", "work p50", "p99 ms", "age p50", "p99 ms", "drops", "restarts"
+            "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
+            "node", "frames", "rate/s", "busy %", "work p50", "p99 ms", "age p50", "p99 ms", "drops", "restarts"
         )?;
         for node in &self.nodes {
             let ms = |pair: Option<[f64; 2]>, i: usize| pair.map_or("-".to_owned(), |pair| format!("{:.2}", pair[i]));
             writeln!(
                 f,
-                "{:width$} {:>8} {:>8} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
+                "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
                 node.name,
                 node.frames,
                 node.rate_hz.map_or("-".to_owned(), |rate| format!("{rate:.1}")),
+                node.busy.map_or("-".to_owned(), |busy| format!("{:.0}", 100.0 * busy)),
                 ms(node.work_ms, 0),
                 ms(node.work_ms, 1),
                 ms(node.age_ms, 0),
