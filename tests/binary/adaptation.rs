@@ -12,6 +12,8 @@ const STEPS: u64 = 6;
 
 /// A short training on the demo's recording, small enough for a test; labels of any quality will do.
 fn start(out: &Path) -> Child {
+    std::fs::create_dir_all(out).expect("a folder");
+    let errors = std::fs::File::create(out.join("stderr.txt")).expect("a file");
     let out = out.display();
     let settings = [
         format!("trainer.out={out}/training"),
@@ -24,6 +26,7 @@ fn start(out: &Path) -> Child {
         "renderer.size_px=64".into(),
         "flow.size_px=64".into(),
         "flow.iterations=4".into(),
+        "trainer.iterations=4".into(),
         "flow.lockstep={frames_per_step: 2, publish_every: 1}".into(),
         "consistency.tau_px_at_256=16".into(),
         "window=6".into(),
@@ -32,9 +35,17 @@ fn start(out: &Path) -> Child {
     pseudoflow()
         .args(["run", "config/graphs/adapt.yaml", "--out", &format!("{out}/run")])
         .args(settings)
-        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(errors)
         .spawn()
         .expect("the binary starts")
+}
+
+/// Waits for the end; what the processes said goes into the report of a failure.
+fn ends_well(mut run: Child, out: &Path, killed: &str) {
+    let status = run.wait().expect("it ends");
+    let said = std::fs::read_to_string(out.join("stderr.txt")).unwrap_or_default();
+    assert!(status.success(), "the training in which {killed} was killed: {status}\n{said}");
 }
 
 fn steps(out: &Path) -> usize {
@@ -50,7 +61,7 @@ fn teacher(out: &Path) -> Vec<u8> {
 fn killing_any_node_leaves_the_same_weights() {
     let folder = tempfile::tempdir().expect("a folder");
     let calm = folder.path().join("calm");
-    assert!(start(&calm).wait().expect("it ends").success());
+    ends_well(start(&calm), &calm, "nothing");
     assert_eq!(steps(&calm), STEPS as usize);
     let log = std::fs::read_to_string(calm.join("training/adapt.csv")).expect("the log");
     assert!(log.lines().skip(1).any(|line| !line.contains(",NaN,NaN")), "some step trained: {log}");
@@ -58,7 +69,7 @@ fn killing_any_node_leaves_the_same_weights() {
     assert_ne!(teacher(&calm), start_weights.expect("the shipped weights"));
     for node in NODES {
         let out = folder.path().join(node);
-        let mut run = start(&out);
+        let run = start(&out);
         let deadline = Instant::now() + Duration::from_secs(120);
         while steps(&out) < 2 {
             assert!(Instant::now() < deadline, "no two steps within two minutes");
@@ -67,7 +78,7 @@ fn killing_any_node_leaves_the_same_weights() {
         let pid = process_of(node, &out).unwrap_or_else(|| panic!("{node} runs"));
         let kill = std::process::Command::new("kill").args(["-9", &pid.to_string()]).status();
         assert!(kill.expect("kill is there").success());
-        assert!(run.wait().expect("it ends").success(), "the training without {node} ends well");
+        ends_well(run, &out, node);
         assert!(teacher(&out) == teacher(&calm), "other weights after {node} was killed");
         assert_eq!(steps(&out), STEPS as usize);
     }

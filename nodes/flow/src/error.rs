@@ -55,15 +55,15 @@ pub enum FlowError {
         /// Of this node's configuration.
         network_px: usize,
     },
-    /// A training sent weights out of step.
+    /// A trainer publishes at another pace.
     #[error(
-        "frame wants publication {wanted} of the weights, the trainer has sent {newest}: give flow's `lockstep` and the trainer the \
-         same `frames_per_step` and `publish_every`"
+        "flow's `lockstep` swaps weights every {here} frames, the trainer sends them every {there}: give both the same \
+         `frames_per_step` and `publish_every`"
     )]
-    Publication {
-        /// What this frame is labelled with.
-        wanted: u64,
-        /// The newest that came.
-        newest: u64,
+    OutOfStep {
+        /// Frames between two publications by this node's configuration.
+        here: u64,
+        /// By the trainer's.
+        there: u64,
     },
 }

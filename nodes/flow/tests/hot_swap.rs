@@ -136,4 +136,12 @@ fn lockstep_waits_for_its_publication_and_never_takes_a_newer_one() {
     assert_eq!(version, 1);
     let mut other = open(folder.path(), engines()[0].clone(), None);
     assert_eq!(out, flow(&mut other, &inputs(0, Some(message(9, 2, None)))).1, "that of number 1, not of number 2");
+    // Frame 4 comes again when the trainer, which has taken it, is two publications ahead: its acknowledgement is on
+    // its way, and whoever computed the frame anew would do so with other weights.
+    let node = open(folder.path(), engines()[0].clone(), Some(lockstep));
+    assert!(!node.ready(&inputs(4, Some(message(3, 4, Some(3))))).unwrap());
+    let other = Lockstep { frames_per_step: 3, ..lockstep };
+    let node = open(folder.path(), engines()[0].clone(), Some(other));
+    let error = node.ready(&inputs(4, Some(message(2, 3, Some(2))))).unwrap_err().to_string();
+    assert!(error.contains("every 3 frames") && error.contains("every 2"), "{error}");
 }

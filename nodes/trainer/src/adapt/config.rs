@@ -39,6 +39,12 @@ pub struct TrainerConfig {
     /// Share of the old teacher in the new one; 0.999 in the paper, for far longer trainings.
     #[serde(default = "default_ema")]
     pub ema_alpha: f64,
+    /// Iterations of the student in training; the network's own by default.
+    #[serde(default)]
+    pub train_iterations: Option<usize>,
+    /// Iterations of the published teacher, the flow node's `iterations`; the network's own by default.
+    #[serde(default)]
+    pub iterations: Option<usize>,
     /// Weight of the flow loss.
     #[serde(default = "one")]
     pub flow_weight: f64,
@@ -106,6 +112,8 @@ impl TrainerConfig {
             checkpoint_every: default_checkpoint(),
             max_lr: default_max_lr(),
             ema_alpha: default_ema(),
+            train_iterations: None,
+            iterations: None,
             flow_weight: one(),
             photo_weight: half(),
             augment: yes(),
@@ -117,6 +125,7 @@ impl TrainerConfig {
     /// # Errors
     /// Names the first setting that is out of range.
     pub fn check(&self) -> Result<(), TrainerError> {
+        let iterations = |n: usize| (1..=64).contains(&n);
         let checks = [
             (
                 "size_px",
@@ -129,6 +138,8 @@ impl TrainerConfig {
             ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
             ("max_lr", self.max_lr > 0.0 && self.max_lr < 1.0, "a rate in 0..1"),
             ("ema_alpha", (0.0..1.0).contains(&self.ema_alpha), "0 <= alpha < 1"),
+            ("train_iterations", self.train_iterations.is_none_or(iterations), "1..=64"),
+            ("iterations", self.iterations.is_none_or(iterations), "1..=64"),
             ("flow_weight", self.flow_weight >= 0.0, "at least 0"),
             ("photo_weight", self.photo_weight >= 0.0, "at least 0"),
             ("flow_weight", self.flow_weight + self.photo_weight > 0.0, "more than 0, or `photo_weight`"),
@@ -139,11 +150,14 @@ impl TrainerConfig {
         }
     }
 
-    /// The network at the size of these crops.
+    /// The network with the iterations of this training.
     ///
     /// # Errors
     /// The name is none of the presets and no readable file.
     pub fn resolve_network(&self) -> Result<NetworkConfig, TrainerError> {
-        crate::pretrain::network_named(&self.network)
+        let mut network = crate::pretrain::network_named(&self.network)?;
+        network.iterations_train = self.train_iterations.unwrap_or(network.iterations_train);
+        network.iterations_infer = self.iterations.unwrap_or(network.iterations_infer);
+        Ok(network)
     }
 }

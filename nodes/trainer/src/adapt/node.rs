@@ -104,6 +104,12 @@ impl TrainerNode {
         Ok(())
     }
 
+    /// What the training made. Before the last checkpoint: whoever finds that one finds these too.
+    fn save_result(&self) -> Result<(), TrainerError> {
+        self.state.teacher().save(&self.path(files::TEACHER))?;
+        Ok(self.state.student().save(&self.path(files::STUDENT))?)
+    }
+
     fn step(&mut self, key: FrameKey, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
         let batch = std::mem::take(&mut self.batch);
         let labels = batch.stats(self.state.step(), self.config.publish_every);
@@ -117,13 +123,12 @@ impl TrainerNode {
             self.published = [onnx, std::mem::take(&mut self.published[0])];
         }
         let ends = result.step == self.config.steps;
+        if ends {
+            self.save_result()?;
+        }
         if publishes || ends || result.step.is_multiple_of(self.config.checkpoint_every) {
             self.state.save(&self.path(files::CHECKPOINT))?;
             self.saved_steps = result.step;
-        }
-        if ends {
-            self.state.teacher().save(&self.path(files::TEACHER))?;
-            self.state.student().save(&self.path(files::STUDENT))?;
         }
         // Behind the checkpoint: whoever takes over has sent nothing newer than it knows.
         if publishes { self.send(key, outputs) } else { Ok(()) }
@@ -185,13 +190,19 @@ impl Node for TrainerNode {
         self.send(FrameKey { index: 0, stamp_ns: 0 }, outputs)
     }
 
-    /// Frames of steps that are in the checkpoint.
+    /// Frames of steps that are in the checkpoint, and all behind the last step.
     fn safe_until(&self, handled: u64) -> u64 {
+        if self.saved_steps >= self.config.steps {
+            return handled;
+        }
         handled.min((self.saved_steps - self.config.first_step) * self.config.frames_per_step)
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let index = inputs.key().index;
+        if self.step_of(index) >= self.config.steps {
+            return Ok(());
+        }
         let within = self.config.first_step * self.config.frames_per_step + index;
         let next = self.state.step() * self.config.frames_per_step + self.batch.frames;
         match within.cmp(&next) {
@@ -202,9 +213,6 @@ impl Node for TrainerNode {
                 return Err(TrainerError::Message(text).into());
             }
             std::cmp::Ordering::Equal => {}
-        }
-        if self.step_of(index) >= self.config.steps {
-            return Ok(());
         }
         self.gather(inputs, context)?;
         if self.batch.frames == self.config.frames_per_step {

@@ -144,6 +144,9 @@ fn training_is_a_function_of_its_frames_also_across_a_crash() {
     // Another node's death repeats frames that this one has.
     feed(&mut node, 4..8);
     assert_eq!(node.safe_until(8), 8);
+    // What lies behind the last step is passed over, and nobody waits for it.
+    assert!(feed(&mut node, 8..11).is_empty());
+    assert_eq!(node.safe_until(11), 11);
     for file in [files::TEACHER, files::STUDENT, files::CHECKPOINT] {
         assert!(bytes(&whole, file) == bytes(&broken, file), "{file} differs");
     }
