@@ -82,7 +82,7 @@ fn messages(sizes: &Sizes) -> [AlignedBytes; 3] {
 
 fn samples(sizes: &Sizes, [views, flow, labels]: &[AlignedBytes; 3]) -> Result<Vec<Sample>, Failure> {
     let (views, flow, labels) = (ReferenceViews::view(views)?, FlowFields::view(flow)?, PseudoLabels::view(labels)?);
-    let of = |i: usize| Sample::of(&views, &flow, &labels, i, Some(&mut ChaCha8Rng::seed_from_u64(i as u64)));
+    let of = |i: usize| Sample::of(&views, &flow, &labels, i, 1, Some(&mut ChaCha8Rng::seed_from_u64(i as u64)));
     Ok((0..sizes.instances).map(of).collect())
 }
 
@@ -124,8 +124,12 @@ fn main() -> Result<(), Failure> {
     let (reference, flow, mask) = (all(|s| &s.reference), all(|s| &s.flow_px), all(|s| &s.mask));
     let pairs = FlowBatch { reference: &reference, real: &reference, flow: &flow, mask: &mask, n };
 
-    let mut supervised =
-        TrainState::new(network.clone(), TrainConfig::new(1e-6, 10_000), Weights::load(&start, &network)?, &Device::flex())?;
+    let mut supervised = TrainState::new(
+        network.clone(),
+        TrainConfig::new(1e-6, 10_000),
+        Weights::load(&start, &network)?,
+        &Device::flex(),
+    )?;
     let (mut own, mut plain) = (AdaptState::new(&config)?, AdaptState::new(&config)?);
     std::fs::remove_dir_all(&folder)?;
     let names = ["supervised", "self-supervised", "the same without photo", "samples from messages"];
@@ -142,7 +146,10 @@ fn main() -> Result<(), Failure> {
     for times in [&a, &b, &c, &d] {
         let [median, least] = times.summary();
         let ratio = [median / base[0], least / base[1]];
-        println!("{:24} median {median:8.1} ms, least {least:8.1} ms; of supervised {:.3}, {:.3}", times.0, ratio[0], ratio[1]);
+        println!(
+            "{:24} median {median:8.1} ms, least {least:8.1} ms; of supervised {:.3}, {:.3}",
+            times.0, ratio[0], ratio[1]
+        );
     }
     Ok(())
 }

@@ -56,9 +56,13 @@ pub(crate) struct Args {
     /// nano, small or paper.
     #[arg(long, default_value = "nano")]
     network: String,
-    /// Width and height of the crops, pixels.
+    /// Width and height of the crops that the network will see in use, and the student in training, pixels.
     #[arg(long, default_value_t = 128)]
     size: u32,
+    /// Width and height of the crops that the teacher labels, pixels: `--size` times 1, 2 or 4. Labels are better where
+    /// it looks closer. [default: 256, or `--size` where that is more]
+    #[arg(long)]
+    label_size: Option<u32>,
     /// Peak of the one-cycle learning rate.
     #[arg(long, default_value_t = 1e-4)]
     max_lr: f64,
@@ -85,10 +89,18 @@ pub(crate) struct Args {
     seed: u64,
 }
 
+/// Where nano's labels agree with the true flow (tables in the README).
+const LABEL_PX: u32 = 256;
+
 /// The exit code of a training that made nothing better.
 const NOT_BETTER: u8 = 3;
 
 impl Args {
+    /// Width and height of the teacher's crops.
+    fn label_px(&self) -> u32 {
+        self.label_size.unwrap_or(self.size.max(LABEL_PX))
+    }
+
     /// Where the training keeps its things.
     fn folder(&self) -> PathBuf {
         self.out.with_extension("adapt")

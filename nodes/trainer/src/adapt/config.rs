@@ -16,6 +16,10 @@ pub struct TrainerConfig {
     /// Width and height of the crops, pixels; the renderer's `size_px`.
     #[serde(default = "default_size_px")]
     pub size_px: u32,
+    /// Width and height that the student sees, pixels: `size_px` divided by 1, 2 or 4; `size_px` by default. Labels are
+    /// better where the teacher looks closer.
+    #[serde(default)]
+    pub student_px: Option<u32>,
     /// Folder of checkpoint, log and result.
     pub out: PathBuf,
     /// Steps of the whole training.
@@ -104,6 +108,7 @@ impl TrainerConfig {
             weights,
             network: nano(),
             size_px: default_size_px(),
+            student_px: None,
             out,
             steps,
             first_step: 0,
@@ -132,6 +137,11 @@ impl TrainerConfig {
                 self.size_px.is_multiple_of(8) && (64..=1024).contains(&self.size_px),
                 "a multiple of 8 in 64..=1024",
             ),
+            (
+                "student_px",
+                self.student_px.is_none_or(|px| [1, 2, 4].into_iter().any(|by| px >= 64 && px * by == self.size_px)),
+                "`size_px` divided by 1, 2 or 4, and at least 64",
+            ),
             ("steps", self.steps > 0 && self.first_step < self.steps, "more than `first_step`"),
             ("frames_per_step", self.frames_per_step > 0, "at least 1"),
             ("publish_every", self.publish_every > 0, "at least 1"),
@@ -148,6 +158,12 @@ impl TrainerConfig {
             Some((field, _, wanted)) => Err(TrainerError::Config { field: field.into(), wanted }),
             None => Ok(()),
         }
+    }
+
+    /// How many times smaller the student's crops are than the teacher's.
+    #[must_use]
+    pub fn shrink(&self) -> usize {
+        self.student_px.map_or(1, |px| (self.size_px / px) as usize)
     }
 
     /// The network with the iterations of this training.

@@ -11,6 +11,7 @@ mod log;
 mod node;
 mod photo;
 mod sample;
+mod shrink;
 mod state;
 
 #[cfg(test)]

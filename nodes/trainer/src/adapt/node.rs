@@ -93,7 +93,7 @@ impl TrainerNode {
             if info.usable == 1 {
                 let mut rng = context.rng(place, &format!("augment {instance}"));
                 let augment = self.config.augment.then_some(&mut rng);
-                self.batch.samples.push(Sample::of(&views, &flow, &labels, instance, augment));
+                self.batch.samples.push(Sample::of(&views, &flow, &labels, instance, self.config.shrink(), augment));
             }
             self.batch.labels.push(*info);
         }

@@ -1,4 +1,5 @@
 use super::augment::{augmented, grey, planes};
+use super::shrink;
 use pseudoflow_msgs::{FlowFields, PseudoLabels, ReferenceViews};
 use rand_chacha::ChaCha8Rng;
 
@@ -39,25 +40,32 @@ fn flow_planes(interleaved: &[f32], area: usize) -> Vec<f32> {
 }
 
 impl Sample {
-    /// The sample of an instance; `augment` draws the student's colours, without it the student sees the crop as it is.
+    /// The sample of an instance, `by` times smaller than the teacher's crops; `augment` draws the student's colours,
+    /// without it the student sees the crop as it is.
     #[must_use]
     pub fn of(
         views: &ReferenceViews<'_>,
         flow: &FlowFields<'_>,
         labels: &PseudoLabels<'_>,
         instance: usize,
+        by: usize,
         augment: Option<&mut ChaCha8Rng>,
     ) -> Self {
         let (n, size_px) = (views.header.views_per_instance as usize, views.header.size_px as usize);
         let area = size_px * size_px;
         let of_views = |values: usize| instance * n * values..(instance + 1) * n * values;
-        let real_rgb = &views.real_rgb[instance * 3 * area..(instance + 1) * 3 * area];
+        let real_rgb = shrink::rgb(&views.real_rgb[instance * 3 * area..(instance + 1) * 3 * area], size_px, by);
+        let small = |view: &[u8]| planes(&shrink::rgb(view, size_px, by));
+        let masks = labels.valid[of_views(area)].chunks_exact(area);
+        let label = |(field, valid): (&[f32], &[u8])| shrink::flow(field, size_px, by, |p| valid[p] != 0);
+        let fields = labels.label_px[of_views(2 * area)].chunks_exact(2 * area);
+        let flow_px: Vec<f32> = fields.zip(masks.clone()).flat_map(label).collect();
         Self {
-            reference: views.rgb[of_views(3 * area)].chunks_exact(3 * area).flat_map(planes).collect(),
-            real: augment.map_or_else(|| planes(real_rgb), |rng| augmented(real_rgb, size_px, rng)),
-            flow_px: flow_planes(&labels.label_px[of_views(2 * area)], area),
-            mask: labels.valid[of_views(area)].iter().map(|v| f32::from(u8::from(*v != 0))).collect(),
-            photo: photo(views, flow, labels, instance),
+            reference: views.rgb[of_views(3 * area)].chunks_exact(3 * area).flat_map(small).collect(),
+            real: augment.map_or_else(|| planes(&real_rgb), |rng| augmented(&real_rgb, size_px / by, rng)),
+            flow_px: flow_planes(&flow_px, area / (by * by)),
+            mask: masks.flat_map(|m| shrink::mask(m, size_px, by)).map(|v| f32::from(u8::from(v != 0))).collect(),
+            photo: photo(views, flow, labels, instance, by),
         }
     }
 
@@ -73,21 +81,24 @@ fn photo(
     flow: &FlowFields<'_>,
     labels: &PseudoLabels<'_>,
     instance: usize,
+    by: usize,
 ) -> Option<Photo> {
     let (n, m) = (views.header.views_per_instance as usize, views.header.partners_per_instance as usize);
-    let area = (views.header.size_px as usize).pow(2);
+    let size_px = views.header.size_px as usize;
+    let area = size_px * size_px;
     let present = (instance * m..(instance + 1) * m).filter(|partner| views.partners[*partner].present == 1);
+    let small_grey = |crops: &[u8], i: usize| grey(&shrink::rgb(&crops[i * 3 * area..(i + 1) * 3 * area], size_px, by));
     let partner = |partner: usize| {
         let field = views.views.len() + partner;
-        let crop = grey(&views.partner_rgb[partner * 3 * area..(partner + 1) * 3 * area]);
-        (crop, flow.flow_px[field * 2 * area..(field + 1) * 2 * area].to_vec())
+        let field = &flow.flow_px[field * 2 * area..(field + 1) * 2 * area];
+        (small_grey(views.partner_rgb, partner), shrink::flow(field, size_px, by, |_| true))
     };
     let partners: Vec<_> = present.map(partner).collect();
     let first = instance * n * area..(instance * n + 1) * area;
     (!partners.is_empty()).then(|| Photo {
-        grey: grey(&views.real_rgb[instance * 3 * area..(instance + 1) * 3 * area]),
-        mask: views.mask[first.clone()].to_vec(),
-        valid: labels.valid[first].to_vec(),
+        grey: small_grey(views.real_rgb, instance),
+        mask: shrink::mask(&views.mask[first.clone()], size_px, by),
+        valid: shrink::mask(&labels.valid[first], size_px, by),
         partners,
     })
 }

@@ -144,7 +144,7 @@ impl AdaptState {
     }
 
     fn student_step(&mut self, samples: &[Sample], config: &TrainerConfig) -> Result<StepResult, TrainerError> {
-        let size_px = config.size_px as usize;
+        let size_px = config.size_px as usize / config.shrink();
         let pairs = Pairs::of(samples);
         let mut loss_photo = f32::NAN;
         let network_px = std::mem::replace(&mut self.student.network.size_px, size_px);
