@@ -5,7 +5,7 @@ use pseudoflow_metrics::{
     Estimate, KnownIds, MAX_SYM_DISC_STEP, ModelPoints, SceneTruth, Target, TruthInstance, VISIB_GT_MIN, read_targets,
 };
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A split of a BOP dataset with its ground truth.
 #[derive(Debug, Clone)]
@@ -16,6 +16,8 @@ pub struct EvalDataset {
     pub split: String,
     /// The objects (of `models_eval` where that exists).
     pub objects: ObjectSet,
+    /// Folder of the meshes to render: those with textures or colours, which `models_eval` has not always.
+    pub render_dir: PathBuf,
     /// What the errors of each object are measured with.
     pub models: BTreeMap<u32, EvalModel>,
     /// The images that have something to look for, by scene and image.
@@ -65,8 +67,13 @@ pub struct EvalImage {
 /// # Errors
 /// When files are missing or malformed, or there is nothing to look for.
 pub fn load_dataset(dir: &Path, split: &str, targets: Option<&Path>) -> Result<EvalDataset, EvalError> {
-    let models_dir = ["models_eval", "models"].map(|name| dir.join(name)).into_iter().find(|path| path.is_dir());
-    let models_dir = models_dir.ok_or_else(|| EvalError::NoModels { dir: dir.to_owned() })?;
+    let first_of = |names: &[&str]| {
+        let found = names.iter().map(|name| dir.join(name)).find(|path| path.is_dir());
+        found.ok_or_else(|| EvalError::NoModels { dir: dir.to_owned() })
+    };
+    let models_dir = first_of(&["models_eval", "models", "models_cad"])?;
+    // T-LESS has CAD models and reconstructed ones, the latter with colours.
+    let render_dir = first_of(&["models", "models_reconst", "models_cad", "models_eval"])?;
     let objects = ObjectSet::load(&models_dir)?;
     let models =
         objects.iter().map(|o| Ok((o.id, EvalModel::new(o)?))).collect::<Result<BTreeMap<_, _>, EvalError>>()?;
@@ -86,6 +93,7 @@ pub fn load_dataset(dir: &Path, split: &str, targets: Option<&Path>) -> Result<E
         known: KnownIds { objects: objects.ids().into_iter().collect(), images: reader.scenes_and_images },
         images: reader.images,
         objects,
+        render_dir,
         models,
     })
 }

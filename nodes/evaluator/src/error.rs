@@ -35,8 +35,8 @@ pub enum EvalError {
         /// The cause.
         source: serde_json::Error,
     },
-    /// The folder has neither models_eval nor models.
-    #[error("{dir} has neither models_eval/ nor models/: unpack the dataset's models archive there")]
+    /// The folder has no folder of models.
+    #[error("{dir} has none of models_eval/, models/, models_cad/: unpack the dataset's models archive there")]
     NoModels {
         /// The dataset's folder.
         dir: PathBuf,

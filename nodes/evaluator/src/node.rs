@@ -171,8 +171,16 @@ fn dataset(config: &EvaluatorConfig, frames: &[FrameLine]) -> Result<(EvalDatase
         images: frames.iter().map(|f| (f.scene_id, f.image_id)).collect(),
     };
     let notes = vec![format!("{} of {} frames have ground truth.", images.len(), frames.len())];
-    let dataset =
-        EvalDataset { name: name(&config.truth), split: "recording".into(), objects, models, images, known, notes };
+    let dataset = EvalDataset {
+        name: name(&config.truth),
+        split: "recording".into(),
+        render_dir: objects.folder().to_owned(),
+        objects,
+        models,
+        images,
+        known,
+        notes,
+    };
     Ok((dataset, sets))
 }
 

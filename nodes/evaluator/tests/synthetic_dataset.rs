@@ -128,6 +128,26 @@ fn true_poses_score_one_and_initial_ones_less() {
 }
 
 #[test]
+fn scores_come_from_one_folder_of_models_and_pictures_from_another() {
+    let (dir, first) = dataset(None).unwrap();
+    assert_eq!(first.render_dir, first.objects.folder(), "there is no other");
+    let root = dir.path().join("boxes");
+    // As YCB-V, whose models_eval have no texture, and as T-LESS, which has no models/ and names its sensor.
+    for name in ["models_cad", "models_reconst", "models"] {
+        std::fs::create_dir(root.join(name)).unwrap();
+        let dataset = load_dataset(&root, "test", None).unwrap();
+        assert_eq!(dataset.render_dir, root.join(name));
+        assert_eq!(dataset.objects.folder(), root.join("models_eval"));
+    }
+    std::fs::rename(root.join("test"), root.join("test_primesense")).unwrap();
+    assert_eq!(load_dataset(&root, "test_primesense", None).unwrap().images.len(), 3);
+    std::fs::remove_dir_all(root.join("models_eval")).unwrap();
+    ["models", "models_reconst", "models_cad"].iter().for_each(|name| std::fs::remove_dir(root.join(name)).unwrap());
+    let error = load_dataset(&root, "test_primesense", None).unwrap_err().to_string();
+    assert!(error.contains("models_eval") && error.contains("unpack"), "{error}");
+}
+
+#[test]
 fn json_has_the_promised_keys_and_comes_back() {
     let (dir, dataset) = dataset(None).unwrap();
     let report = evaluate(&dataset, &both(&dataset), &|_, _| ()).unwrap();

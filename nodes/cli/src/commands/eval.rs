@@ -18,12 +18,15 @@ pub(crate) struct Args {
     /// The dataset: a folder with `models/` and splits, as BOP lays them out.
     #[arg(long, required_unless_present = "compare")]
     dataset: Option<PathBuf>,
-    /// The split.
+    /// The split: a folder of the dataset, e.g. `test`, or `test_primesense` of T-LESS.
     #[arg(long, default_value = "test")]
     split: String,
     /// Weights to refine with: `.safetensors` or `.onnx`. Without them, `--csv` is scored.
     #[arg(long)]
     weights: Option<PathBuf>,
+    /// Meshes to render, a BOP `models` folder; without: the dataset's with textures or colours.
+    #[arg(long)]
+    objects: Option<PathBuf>,
     /// Initial poses: a BOP result file, or `initializer`. The default is each scene's `init_poses.json`.
     #[arg(long)]
     init: Option<PathBuf>,
@@ -124,11 +127,12 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A submission is named METHOD_DATASET-SPLIT.csv, and the benchmark reads dataset and split from there.
+/// A submission is named METHOD_DATASET-SPLIT.csv, and the benchmark reads dataset and split from there. The folder
+/// `test_primesense` is split `test`, type `primesense`: METHOD_tless-test-primesense.csv.
 fn check_name(args: &Args) -> Result<()> {
     let dataset = args.dataset().canonicalize().unwrap_or_else(|_| args.dataset().to_owned());
     let dataset = dataset.file_name().and_then(|name| name.to_str()).unwrap_or("DATASET").to_owned();
-    let ending = format!("_{dataset}-{}.csv", args.split);
+    let ending = format!("_{dataset}-{}.csv", args.split.replace('_', "-"));
     let name = args.csv().file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let method = name.strip_suffix(&ending).unwrap_or_default();
     if method.is_empty() || method.contains(['_', '-']) {
@@ -183,7 +187,7 @@ fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result
         pnp.gate = None;
     }
     Ok(PipelineConfig {
-        renderer: RendererConfig::new(dataset.objects.folder().to_owned(), args.size),
+        renderer: RendererConfig::new(args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone()), args.size),
         flow: FlowConfig {
             model: weights.to_owned(),
             network: super::export::network(&args.network)?,
