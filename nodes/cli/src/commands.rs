@@ -1,6 +1,7 @@
 //! One file per command; each parses its arguments, calls a library and prints.
 #![allow(clippy::print_stdout, reason = "the commands talk to people")]
 
+pub(crate) mod ablate;
 pub(crate) mod adapt;
 pub(crate) mod bag;
 pub(crate) mod demo;

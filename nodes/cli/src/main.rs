@@ -33,6 +33,8 @@ enum Command {
     Pretrain(commands::pretrain::Args),
     /// Trains on recordings without annotations, and keeps the result if it is better.
     Adapt(commands::adapt::Args),
+    /// Trains once for every row of a table and every seed, and scores what came out.
+    Ablate(commands::ablate::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
@@ -77,6 +79,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
     match command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Run(args) => commands::run::run(&args),
+        Command::Ablate(args) => commands::ablate::run(&args),
         Command::Check(args) => commands::run::check(&args),
         Command::Schema => commands::run::schema(),
         Command::Node(args) => commands::run::node(&args),

@@ -75,6 +75,9 @@ pub(crate) struct Args {
     /// Every n-th frame is left out of the training and used to judge it.
     #[arg(long, default_value_t = 5)]
     held_out_every: u64,
+    /// Writes OUT without a look at the held-out frames, for those who measure otherwise.
+    #[arg(long)]
+    unjudged: bool,
     /// Folder of the report; without: that of the training.
     #[arg(long)]
     report: Option<PathBuf>,
@@ -112,6 +115,11 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     let folder = args.folder();
     std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
     let Some(trained) = train(args, &folder)? else { return Ok(ExitCode::FAILURE) };
+    if args.unjudged {
+        keep(&trained, &args.out)?;
+        println!("{} (not judged)", args.out.display());
+        return Ok(ExitCode::SUCCESS);
+    }
     let verdict = judge(args, &trained)?;
     let page = report::write(args, &folder, &verdict)?;
     println!("{}", verdict.text());
