@@ -14,6 +14,7 @@
 //! | [`PartnerFrames`] | player (training) | renderer |
 //! | [`PseudoLabels`] | consistency | trainer |
 //! | [`NetworkWeights`] | trainer | flow |
+//! | [`Pictures`] | consistency | recorder |
 //!
 //! At the edges ([`ros`]) the same content is ROS 2 messages: in bags and over DDS.
 
@@ -25,6 +26,7 @@ mod flow_fields;
 mod network_weights;
 mod object_poses;
 mod partner_frames;
+mod pictures;
 mod pseudo_labels;
 mod reference_views;
 
@@ -34,6 +36,7 @@ pub use layout::{AlignedBytes, MalformedMessage};
 pub use network_weights::{NetworkWeights, NetworkWeightsHeader};
 pub use object_poses::{ObjectPose, ObjectPoses, ObjectPosesHeader, PoseSource, PoseStatus};
 pub use partner_frames::{PartnerFrame, PartnerFrames, PartnerFramesHeader};
+pub use pictures::Pictures;
 pub use pseudo_labels::{InstanceLabels, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut};
 pub use reference_views::{Partner, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut};
 

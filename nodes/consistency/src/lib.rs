@@ -17,5 +17,5 @@ mod tests;
 
 pub use error::ConsistencyError;
 pub use node::{ConsistencyConfig, ConsistencyNode};
-pub use picture::label_panel;
+pub use picture::{label_panel, label_pictures};
 pub use votes::{Label, Labels, Rule, View, label};

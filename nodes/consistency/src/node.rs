@@ -1,14 +1,16 @@
 use crate::votes::{Label, Labels, Rule, View, label};
-use crate::{ConsistencyError, label_panel};
+use crate::{ConsistencyError, label_panel, label_pictures};
 use pseudoflow_geometry::{Intrinsics, pose_from_quaternion};
 use pseudoflow_imaging::encode_jpeg;
 use pseudoflow_msgs::{
-    FlowFields, InstanceLabels, Message, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut, ReferenceViews,
+    FlowFields, InstanceLabels, Message, Pictures, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut, ReferenceViews,
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+
+const JPEG_QUALITY: u8 = 90;
 
 /// Settings of the consistency node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -145,7 +147,7 @@ impl Node for ConsistencyNode {
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<PseudoLabels<'static>>("labels")]
+        vec![PortSpec::required::<PseudoLabels<'static>>("labels"), PortSpec::optional::<Pictures<'static>>("pictures")]
     }
 
     fn check(config: &ConsistencyConfig) -> Result<(), NodeError> {
@@ -183,16 +185,26 @@ impl Node for ConsistencyNode {
             tau_px: self.rule(views.header.size_px).tau_px as f32,
         };
         let mut result = Ok(());
-        let pictured = self.config.picture_every.filter(|every| inputs.key().index.is_multiple_of(*every));
-        let mut picture = None;
+        let shows = outputs.is_connected("pictures");
+        let drawn = self.config.picture_every.filter(|every| inputs.key().index.is_multiple_of(*every));
+        let (mut panel, mut tiles) = (None, None);
         outputs.send("labels", inputs.key(), PseudoLabels::byte_len(&header), &mut |bytes| {
             result = self.label(&views, &flow, &mut PseudoLabels::write(bytes, header));
-            let labels = pictured.and_then(|_| PseudoLabels::view(bytes).ok());
-            picture = labels.and_then(|labels| label_panel(&views, &flow, &labels, 0));
+            let Ok(labels) = PseudoLabels::view(bytes) else { return };
+            panel = drawn.and_then(|_| label_panel(&views, &flow, &labels, 0));
+            tiles = shows.then(|| label_pictures(&views, &flow, &labels, 0)).flatten();
         })?;
-        if let Some(picture) = picture {
+        if let Some(panel) = panel {
             let path = self.config.pictures.join(format!("{:08}.jpg", inputs.key().index));
-            std::fs::write(&path, encode_jpeg(&picture, 90)?).map_err(|e| format!("{}: {e}", path.display()))?;
+            std::fs::write(&path, encode_jpeg(&panel, JPEG_QUALITY)?)
+                .map_err(|e| format!("{}: {e}", path.display()))?;
+        }
+        if shows {
+            let encoded = tiles.into_iter().flatten().map(|(name, tile)| Ok((name, encode_jpeg(&tile, JPEG_QUALITY)?)));
+            let pictures = encoded.collect::<Result<Vec<_>, NodeError>>()?;
+            outputs.send("pictures", inputs.key(), Pictures::byte_len(&pictures), &mut |bytes| {
+                Pictures::write(bytes, &pictures);
+            })?;
         }
         result
     }

@@ -6,15 +6,16 @@ const HOTTEST_PX_AT_256: f32 = 4.0;
 /// Flow of this share of the crop's side has the full colour.
 const LONGEST: f32 = 0.2;
 
-/// View 0 of an instance for the eye: rendering, real crop, the teacher's flow, sigma (as in the paper's figure; blue
-/// where too few views see the point), and the rendering, dark where there is no label. `None` when there is no such instance.
+/// View 0 of an instance for the eye, each with its name: rendering, real crop, the teacher's flow, sigma (as in the
+/// paper's figure; blue where too few views see the point), and the rendering, dark where there is no label. `None` when
+/// there is no such instance.
 #[must_use]
-pub fn label_panel(
+pub fn label_pictures(
     views: &ReferenceViews<'_>,
     flow: &FlowFields<'_>,
     labels: &PseudoLabels<'_>,
     instance: usize,
-) -> Option<RgbImage> {
+) -> Option<[(&'static str, RgbImage); 5]> {
     let (n, size_px) = (views.header.views_per_instance as usize, views.header.size_px);
     let (area, view) = ((size_px as usize).pow(2), instance * n);
     if instance >= views.header.instances as usize {
@@ -35,11 +36,23 @@ pub fn label_panel(
             pixel.0 = pixel.0.map(|v| v / 4);
         }
     }
-    let tiles = [
-        image(views.real_rgb, instance)?,
-        flow_to_colour(&shown, size_px, size_px, LONGEST * size_px as f32),
-        heat_map(sigma, size_px, size_px, 0.0, HOTTEST_PX_AT_256 * size_px as f32 / 256.0),
-        labelled,
-    ];
-    Some(tiles.iter().fold(rendering, |panel, tile| side_by_side(&panel, tile)))
+    Some([
+        ("labels/rendering", rendering),
+        ("labels/crop", image(views.real_rgb, instance)?),
+        ("labels/flow", flow_to_colour(&shown, size_px, size_px, LONGEST * size_px as f32)),
+        ("labels/sigma", heat_map(sigma, size_px, size_px, 0.0, HOTTEST_PX_AT_256 * size_px as f32 / 256.0)),
+        ("labels/valid", labelled),
+    ])
+}
+
+/// [`label_pictures`] beside each other.
+#[must_use]
+pub fn label_panel(
+    views: &ReferenceViews<'_>,
+    flow: &FlowFields<'_>,
+    labels: &PseudoLabels<'_>,
+    instance: usize,
+) -> Option<RgbImage> {
+    let tiles = label_pictures(views, flow, labels, instance)?.map(|(_, picture)| picture);
+    tiles.into_iter().reduce(|panel, tile| side_by_side(&panel, &tile))
 }

@@ -3,7 +3,7 @@ use crate::topics::{Extras, FrameWriter, Topics, jpeg};
 use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::RgbImage;
 use pseudoflow_msgs::ros::{Header, Time};
-use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses};
+use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, Pictures};
 use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
@@ -26,6 +26,10 @@ pub struct RecorderConfig {
     /// Draws contours on the frames; none without.
     #[serde(default)]
     pub overlay: Option<OverlayConfig>,
+    /// Lays the frames so many milliseconds apart in the recording, in the order in which they come, instead of at their
+    /// stamps: a training takes its frames in an order of its own, and more than once.
+    #[serde(default)]
+    pub period_ms: Option<u32>,
 }
 
 fn yes() -> bool {
@@ -49,24 +53,26 @@ pub struct RecorderNode {
 }
 
 impl RecorderNode {
-    fn record(
-        &mut self,
-        inputs: &dyn Inputs,
-        frame: &CameraFrame<'_>,
-        initial: Option<&[ObjectPose]>,
-        poses: &[ObjectPose],
-        sequence: u32,
-    ) -> Result<(), NodeError> {
-        let stamp_ns = inputs.key().stamp_ns;
+    fn record(&mut self, inputs: &dyn Inputs, sequence: u32) -> Result<(), NodeError> {
+        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
+        let initial = optional::<ObjectPoses<'static>>(inputs, "initial_poses")?.map(|message| message.poses);
+        let poses = optional::<ObjectPoses<'static>>(inputs, "poses")?.map(|message| message.poses);
+        let shown = optional::<Pictures<'static>>(inputs, "pictures")?;
+        let period_ns = self.config.period_ms.map(|ms| i64::from(ms) * 1_000_000);
+        let stamp_ns = period_ns.map_or(inputs.key().stamp_ns, |ns| ns * i64::from(sequence));
         let stamp = Time::from_ns(stamp_ns).ok_or_else(|| format!("stamp {stamp_ns} ns does not fit into ROS time"))?;
         let header = Header { stamp, frame_id: frame.header.frame_id().to_owned() };
         let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb.to_vec());
         let image = image.ok_or("the frame has too few pixels")?;
-        let overlay = self.overlay(image.clone(), frame, initial.unwrap_or_default(), poses)?;
+        let overlay = self.overlay(image.clone(), &frame, initial.unwrap_or_default(), poses.unwrap_or_default())?;
         let jpeg_quality = self.config.jpeg_quality;
         let pictures = self.config.overlay.as_ref().and_then(|overlay| overlay.pictures.clone());
-        let extras =
-            Extras { images: self.config.images, initial_poses: initial.is_some(), overlay: overlay.is_some() };
+        let extras = Extras {
+            images: self.config.images,
+            initial_poses: initial.is_some(),
+            poses: poses.is_some(),
+            overlay: overlay.is_some(),
+        };
         let (bag, topics) = self.open(extras)?;
         let mut writer = FrameWriter { bag, topics, header, stamp_ns, sequence };
         if extras.images {
@@ -75,7 +81,12 @@ impl RecorderNode {
         if let Some(initial) = initial {
             writer.initial_poses(initial)?;
         }
-        writer.poses(poses)?;
+        if let Some(poses) = poses {
+            writer.poses(poses)?;
+        }
+        for (name, bytes) in shown.iter().flat_map(|shown| &shown.pictures) {
+            writer.picture(name, bytes.to_vec())?;
+        }
         let overlay = overlay.map(|overlay| jpeg(&overlay, jpeg_quality)).transpose()?;
         if let Some(bytes) = overlay {
             // Before the frame counts as recorded: a frame that comes again draws its picture again.
@@ -86,7 +97,7 @@ impl RecorderNode {
     }
 
     /// The bag, made or taken up when the first frame comes.
-    fn open(&mut self, extras: Extras) -> Result<(&mut BagWriter, &Topics), NodeError> {
+    fn open(&mut self, extras: Extras) -> Result<(&mut BagWriter, &mut Topics), NodeError> {
         if self.open.is_none() {
             let mut bag = match self.resumed.take() {
                 Some(bag) => bag,
@@ -113,6 +124,11 @@ impl RecorderNode {
     }
 }
 
+/// What a port that need not be connected has for the frame.
+fn optional<'a, M: Message>(inputs: &'a dyn Inputs, port: &'static str) -> Result<Option<M::View<'a>>, NodeError> {
+    inputs.bytes(port).map(|_| read::<M>(inputs, port)).transpose()
+}
+
 /// Writes the picture of a frame beside its place and renames it.
 fn picture(folder: &Path, sequence: u32, jpeg: &[u8]) -> Result<(), NodeError> {
     std::fs::create_dir_all(folder)?;
@@ -130,8 +146,9 @@ impl Node for RecorderNode {
     fn inputs() -> Vec<PortSpec> {
         vec![
             PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::required::<ObjectPoses<'static>>("poses"),
+            PortSpec::optional::<ObjectPoses<'static>>("poses"),
             PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
+            PortSpec::optional::<Pictures<'static>>("pictures"),
         ]
     }
 
@@ -175,13 +192,7 @@ impl Node for RecorderNode {
         if !self.recorded.insert(sequence) {
             return Ok(());
         }
-        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
-        let poses = read::<ObjectPoses<'static>>(inputs, "poses")?;
-        let initial = match inputs.bytes("initial_poses") {
-            Some(_) => Some(read::<ObjectPoses<'static>>(inputs, "initial_poses")?.poses),
-            None => None,
-        };
-        self.record(inputs, &frame, initial, poses.poses, sequence)
+        self.record(inputs, sequence)
     }
 
     fn finish(&mut self, _: &Context) -> Result<(), NodeError> {
@@ -227,7 +238,8 @@ mod tests {
     }
 
     fn recorder(folder: &std::path::Path, restarts: u32) -> RecorderNode {
-        let config = RecorderConfig { path: folder.join("run"), images: true, jpeg_quality: 90, overlay: None };
+        let config =
+            RecorderConfig { path: folder.join("run"), images: true, jpeg_quality: 90, overlay: None, period_ms: None };
         RecorderNode::create(config, &context(folder, restarts)).unwrap()
     }
 
@@ -252,12 +264,42 @@ mod tests {
     }
 
     #[test]
+    fn pictures_become_topics_and_poses_are_no_must() {
+        let folder = tempfile::tempdir().unwrap();
+        let context = context(folder.path(), 0);
+        let path = folder.path().join("run");
+        let config = RecorderConfig { path, images: false, jpeg_quality: 90, overlay: None, period_ms: Some(100) };
+        let mut node = RecorderNode::create(config, &context).unwrap();
+        // As in a training: the later frame was taken first.
+        for (index, stamp_ns) in [(0, 9_000_000_000), (1, 2_000_000_000)] {
+            let mut inputs = frame(index);
+            inputs.key = Some(FrameKey { index, stamp_ns });
+            inputs.messages.retain(|(port, _)| port != "poses");
+            let pictures = [("labels/sigma", vec![1, 2, 3]), ("labels/flow", vec![4])];
+            let mut bytes = AlignedBytes::zeroed(Pictures::byte_len(&pictures));
+            Pictures::write(&mut bytes, &pictures);
+            inputs.messages.push(("pictures".into(), bytes));
+            node.process(&inputs, &mut InMemory::default(), &context).unwrap();
+        }
+        node.finish(&context).unwrap();
+        let info = BagReader::open(&folder.path().join("run")).unwrap().info().unwrap();
+        let topics: Vec<_> = info.topics.iter().map(|t| (t.name.as_str(), t.count)).collect();
+        assert_eq!(topics, [("/labels/flow/compressed", 2), ("/labels/sigma/compressed", 2)]);
+    }
+
+    #[test]
     fn a_recording_is_never_written_over() {
         let folder = tempfile::tempdir().unwrap();
         let mut node = recorder(folder.path(), 0);
         node.process(&frame(0), &mut InMemory::default(), &context(folder.path(), 0)).unwrap();
         node.finish(&context(folder.path(), 0)).unwrap();
-        let config = RecorderConfig { path: folder.path().join("run"), images: true, jpeg_quality: 90, overlay: None };
+        let config = RecorderConfig {
+            path: folder.path().join("run"),
+            images: true,
+            jpeg_quality: 90,
+            overlay: None,
+            period_ms: None,
+        };
         assert!(RecorderNode::create(config, &context(folder.path(), 0)).is_err());
     }
 

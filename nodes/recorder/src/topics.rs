@@ -6,29 +6,37 @@ use pseudoflow_msgs::ros::{
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose};
 use pseudoflow_runtime::NodeError;
 use pseudoflow_runtime::bag::{BagWriter, Qos, TopicId};
+use std::collections::BTreeMap;
 
 /// The topics of a recording: those alone that get messages.
 pub(crate) struct Topics {
     image: Option<(TopicId, TopicId)>,
     initial_poses: Option<TopicId>,
+    poses: Option<PoseTopics>,
+    overlay: Option<TopicId>,
+    /// Of other nodes, by name: made when the first comes.
+    pictures: BTreeMap<String, TopicId>,
+}
+
+struct PoseTopics {
     object_poses: TopicId,
     object_pose: TopicId,
     tf: TopicId,
-    overlay: Option<TopicId>,
 }
 
-/// What a recording holds besides refined poses.
+/// What a recording holds.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Extras {
     pub(crate) images: bool,
     pub(crate) initial_poses: bool,
+    pub(crate) poses: bool,
     pub(crate) overlay: bool,
 }
 
 /// Where messages of a frame go.
 pub(crate) struct FrameWriter<'a> {
     pub(crate) bag: &'a mut BagWriter,
-    pub(crate) topics: &'a Topics,
+    pub(crate) topics: &'a mut Topics,
     pub(crate) header: Header,
     pub(crate) stamp_ns: i64,
     pub(crate) sequence: u32,
@@ -41,18 +49,21 @@ impl Topics {
             let frames = bag.add_topic::<CompressedImage>("/camera/image/compressed", Qos::SENSOR_DATA)?;
             image = Some((frames, bag.add_topic::<CameraInfo>("/camera/camera_info", Qos::SENSOR_DATA)?));
         }
-        let mut poses = |name| bag.add_topic::<Detection3DArray>(name, Qos::RELIABLE);
-        let initial_poses = extras.initial_poses.then(|| poses("/initial_poses")).transpose()?;
-        let object_poses = poses("/object_poses")?;
+        let mut initial_poses = None;
+        if extras.initial_poses {
+            initial_poses = Some(bag.add_topic::<Detection3DArray>("/initial_poses", Qos::RELIABLE)?);
+        }
+        let object_poses =
+            extras.poses.then(|| bag.add_topic::<Detection3DArray>("/object_poses", Qos::RELIABLE)).transpose()?;
         let overlay = extras.overlay.then(|| bag.add_topic::<CompressedImage>("/overlay/compressed", Qos::SENSOR_DATA));
-        Ok(Self {
-            image,
-            initial_poses,
-            object_poses,
-            overlay: overlay.transpose()?,
-            object_pose: bag.add_topic::<PoseStamped>("/object_pose", Qos::RELIABLE)?,
-            tf: bag.add_topic::<TFMessage>("/tf", Qos::RELIABLE)?,
-        })
+        let overlay = overlay.transpose()?;
+        let mut poses = None;
+        if let Some(object_poses) = object_poses {
+            let object_pose = bag.add_topic::<PoseStamped>("/object_pose", Qos::RELIABLE)?;
+            poses =
+                Some(PoseTopics { object_poses, object_pose, tf: bag.add_topic::<TFMessage>("/tf", Qos::RELIABLE)? });
+        }
+        Ok(Self { image, initial_poses, poses, overlay, pictures: BTreeMap::new() })
     }
 }
 
@@ -69,6 +80,19 @@ impl FrameWriter<'_> {
         self.topics.overlay.map_or(Ok(()), |topic| self.compressed(topic, jpeg))
     }
 
+    /// A JPEG of another node, as `/NAME/compressed`.
+    pub(crate) fn picture(&mut self, name: &str, jpeg: Vec<u8>) -> Result<(), NodeError> {
+        let topic = match self.topics.pictures.get(name) {
+            Some(topic) => *topic,
+            None => {
+                let topic = self.bag.add_topic::<CompressedImage>(&format!("/{name}/compressed"), Qos::SENSOR_DATA)?;
+                self.topics.pictures.insert(name.to_owned(), topic);
+                topic
+            }
+        };
+        self.compressed(topic, jpeg)
+    }
+
     fn compressed(&mut self, topic: TopicId, data: Vec<u8>) -> Result<(), NodeError> {
         let message = CompressedImage { header: self.header.clone(), format: "jpeg".into(), data };
         Ok(self.bag.write(topic, self.stamp_ns, self.sequence, &message)?)
@@ -82,12 +106,13 @@ impl FrameWriter<'_> {
 
     /// `/object_poses`, `/tf`, and `/object_pose` where a pose stands.
     pub(crate) fn poses(&mut self, poses: &[ObjectPose]) -> Result<(), NodeError> {
+        let Some(topics) = &self.topics.poses else { return Ok(()) };
         let (stamp_ns, sequence) = (self.stamp_ns, self.sequence);
         let all = detections(&self.header, poses, &Naming::default());
-        self.bag.write(self.topics.object_poses, stamp_ns, sequence, &all)?;
-        self.bag.write(self.topics.tf, stamp_ns, sequence, &transforms(&self.header, poses))?;
+        self.bag.write(topics.object_poses, stamp_ns, sequence, &all)?;
+        self.bag.write(topics.tf, stamp_ns, sequence, &transforms(&self.header, poses))?;
         if let Some(best) = best_pose(poses, None) {
-            self.bag.write(self.topics.object_pose, stamp_ns, sequence, &pose_stamped(&self.header, best))?;
+            self.bag.write(topics.object_pose, stamp_ns, sequence, &pose_stamped(&self.header, best))?;
         }
         Ok(())
     }

@@ -75,6 +75,9 @@ pub(crate) struct Args {
     /// Every n-th frame is left out of the training and used to judge it.
     #[arg(long, default_value_t = 5)]
     held_out_every: u64,
+    /// Records samples and labels as topics (rosbag2 folder): rendering, crop, flow, sigma, valid labels.
+    #[arg(long)]
+    record: Option<PathBuf>,
     /// Writes OUT without a look at the held-out frames, for those who measure otherwise.
     #[arg(long)]
     unjudged: bool,

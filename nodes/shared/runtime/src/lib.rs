@@ -15,7 +15,7 @@ mod runner;
 pub mod supervisor;
 
 pub use context::Context;
-pub use graph::{Graph, GraphError, Mode, Problem};
+pub use graph::{Graph, GraphError, Mode, NodeSpec, Problem};
 pub use ipc::IpcError;
 pub use node::{InMemory, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Role, read};
 pub use registry::Registry;

@@ -1,7 +1,7 @@
 use super::Args;
 use anyhow::{Context as _, Result};
-use pseudoflow_runtime::Graph;
 use pseudoflow_runtime::supervisor::Summary;
+use pseudoflow_runtime::{Graph, NodeSpec};
 use serde_json::json;
 use std::path::Path;
 
@@ -76,7 +76,24 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
     for (key, value) in settings {
         graph.set(key, &value.to_string())?;
     }
+    if let Some(path) = &args.record {
+        graph.nodes.insert("recorder".into(), recorder(path)?);
+    }
     Ok(graph)
+}
+
+/// Samples and the pictures of their labels, ten a second in the order of the training.
+fn recorder(path: &Path) -> Result<NodeSpec> {
+    let node = json!({
+        "kind": "recorder",
+        "inputs": {
+            "frame": "player/frame",
+            "initial_poses": "player/initial_poses",
+            "pictures": "consistency/pictures",
+        },
+        "config": {"path": path, "period_ms": 100},
+    });
+    Ok(serde_json::from_value(node)?)
 }
 
 /// Topic and file that `--init` names.
