@@ -284,7 +284,7 @@ mod tests {
         node.finish(&context).unwrap();
         let info = BagReader::open(&folder.path().join("run")).unwrap().info().unwrap();
         let topics: Vec<_> = info.topics.iter().map(|t| (t.name.as_str(), t.count)).collect();
-        assert_eq!(topics, [("/labels/flow/compressed", 2), ("/labels/sigma/compressed", 2)]);
+        assert_eq!(topics, [("/labels/sigma/compressed", 2), ("/labels/flow/compressed", 2)]);
     }
 
     #[test]

@@ -1,9 +1,10 @@
 use crate::truth::Truth;
 use crate::{Failure, bytes, context, network, player, step};
-use pseudoflow_consistency::{ConsistencyConfig, ConsistencyNode, label_panel};
+use pseudoflow_consistency::{ConsistencyConfig, ConsistencyNode, Label, label_panel};
 use pseudoflow_flow::{EngineConfig, FlowConfig, FlowNode};
 use pseudoflow_msgs::{FlowFields, Message, PseudoLabels, ReferenceViews};
 use pseudoflow_player::PlayerNode;
+use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use std::path::{Path, PathBuf};
@@ -35,6 +36,15 @@ pub(crate) struct Args {
     /// Looks at every n-th frame.
     #[arg(long, default_value_t = 4)]
     every: usize,
+    /// Fewest views that must see a point.
+    #[arg(long, default_value_t = 3)]
+    min_views: usize,
+    /// Takes the mean of the views' votes for a label instead of each view's own flow.
+    #[arg(long)]
+    mean_vote: bool,
+    /// Looks twice: the views are rendered around the pose that the teacher finds from the initial one.
+    #[arg(long)]
+    refine_first: bool,
     /// Draws the labels of the first frames into this folder.
     #[arg(long)]
     pictures: Option<PathBuf>,
@@ -54,6 +64,8 @@ struct Tally {
 
 struct Nodes {
     player: PlayerNode,
+    /// Renderer of one view, and who makes a pose of its flow.
+    first_look: Option<(RendererNode, PnpNode)>,
     renderer: RendererNode,
     flow: FlowNode,
     consistency: ConsistencyNode,
@@ -73,8 +85,21 @@ impl Nodes {
             engine: EngineConfig::default(),
             lockstep: None,
         };
-        let labels = ConsistencyConfig { tau_px_at_256: 64.0, ..ConsistencyConfig::default() };
+        let labels = ConsistencyConfig {
+            tau_px_at_256: 64.0,
+            min_views: args.min_views,
+            label: if args.mean_vote { Label::MeanVote } else { Label::TeacherFlow },
+            ..ConsistencyConfig::default()
+        };
+        let first_look = match args.refine_first {
+            true => Some((
+                RendererNode::create(RendererConfig::new(args.objects.clone(), args.size), &context)?,
+                PnpNode::create(PnpNodeConfig::default(), &context)?,
+            )),
+            false => None,
+        };
         Ok(Self {
+            first_look,
             player: PlayerNode::create(player(&args.bags, &args.objects), &context)?,
             renderer: RendererNode::create(renderer, &context)?,
             flow: FlowNode::create(flow, &context)?,
@@ -87,6 +112,17 @@ impl Nodes {
         let mut messages = InMemory::default();
         self.player.produce(number, &mut messages, &self.context)?;
         messages.messages.retain(|(port, _)| port != "partners");
+        if let Some((renderer, pnp)) = &mut self.first_look {
+            step(renderer, &mut messages, &self.context)?;
+            step(&mut self.flow, &mut messages, &self.context)?;
+            step(pnp, &mut messages, &self.context)?;
+            messages.messages.retain(|(port, _)| port == "frame" || port == "poses");
+            messages
+                .messages
+                .iter_mut()
+                .filter(|(port, _)| port == "poses")
+                .for_each(|(port, _)| *port = "initial_poses".into());
+        }
         step(&mut self.renderer, &mut messages, &self.context)?;
         step(&mut self.flow, &mut messages, &self.context)?;
         step(&mut self.consistency, &mut messages, &self.context)?;
