@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-const NODES: [&str; 5] = ["player", "renderer", "flow", "consistency", "trainer"];
+const NODES: [&str; 8] = ["player", "look", "look_flow", "pnp", "renderer", "flow", "consistency", "trainer"];
 const STEPS: u64 = 6;
 
 /// A short training on the demo's recording, small enough for a test; labels of any quality will do.
@@ -23,6 +23,10 @@ fn start(out: &Path) -> Child {
         "trainer.size_px=64".into(),
         format!("player.sampling.samples={}", 2 * STEPS),
         "player.sampling.partners=1".into(),
+        "look.size_px=64".into(),
+        "look_flow.size_px=64".into(),
+        "look_flow.iterations=4".into(),
+        "look_flow.lockstep={frames_per_step: 2, publish_every: 1}".into(),
         "renderer.size_px=64".into(),
         "flow.size_px=64".into(),
         "flow.iterations=4".into(),

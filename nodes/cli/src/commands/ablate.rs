@@ -13,6 +13,9 @@ use std::process::{Command, ExitCode};
 
 /// Columns of the table: keys of `report.json`.
 const SCORES: [&str; 5] = ["add_s_recall_0.1d", "auc_add_s", "mssd_recall", "mspd_recall", "vsd_recall"];
+/// Options of adapt about how labels are made, which a supervised training has no use for.
+const LABELS_MAKING: [&str; 8] =
+    ["label_size", "partners", "tau", "photo_weight", "flow_weight", "accept_all_labels", "single_look", "own_flow"];
 const WITH_TRUTH: &str = "pseudoflow-with-truth";
 
 #[derive(clap::Args)]
@@ -116,8 +119,7 @@ impl Job<'_> {
         let program = own.with_file_name(WITH_TRUTH);
         ensure!(program.is_file(), "{}: not there: build the whole workspace", program.display());
         let mut options = self.options.clone();
-        // Of the labels' making, which truth takes the place of.
-        for name in ["label_size", "partners", "tau", "photo_weight", "flow_weight", "accept_all_labels"] {
+        for name in LABELS_MAKING {
             options.remove(name);
         }
         let supervised = Job { row: self.row, seed: self.seed, options, folder: self.folder.clone() };

@@ -53,6 +53,12 @@ pub(crate) struct Args {
     /// Accepts every label of the teacher, whether or not the views agree (the paper's baseline).
     #[arg(long)]
     accept_all_labels: bool,
+    /// Renders the views around the initial poses as they are, instead of those that the teacher finds from them.
+    #[arg(long)]
+    single_look: bool,
+    /// Labels each view with the teacher's flow in it (paper, eq. 5) instead of the mean of all views' votes.
+    #[arg(long)]
+    own_flow: bool,
     /// nano, small or paper.
     #[arg(long, default_value = "nano")]
     network: String,

@@ -31,6 +31,7 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
     let (samples, first) = ((args.steps - first_step) * args.batch, first_step * args.batch);
     let (topic, file) = initial_poses(args);
     let network = serde_json::to_value(super::super::export::network(&args.network)?)?;
+    let lockstep = json!({"frames_per_step": args.batch, "publish_every": PUBLISH_EVERY, "first_step": first_step});
     let settings = [
         ("seed", json!(args.seed)),
         ("window", json!((3 * args.batch).clamp(8, 64))),
@@ -44,6 +45,13 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
         ("player.sampling.partners", json!(args.partners)),
         ("player.sampling.held_out_every", json!(args.held_out_every)),
         ("player.sampling.budget_frames", json!(args.budget_frames)),
+        ("look.objects", json!(args.objects)),
+        ("look.size_px", json!(args.label_px())),
+        ("look.first_frame", json!(first)),
+        ("look_flow.model", json!(args.weights)),
+        ("look_flow.network", network.clone()),
+        ("look_flow.size_px", json!(args.label_px())),
+        ("look_flow.lockstep", lockstep.clone()),
         ("renderer.objects", json!(args.objects)),
         ("renderer.size_px", json!(args.label_px())),
         ("renderer.views", json!(args.views)),
@@ -51,11 +59,9 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
         ("flow.model", json!(args.weights)),
         ("flow.network", network.clone()),
         ("flow.size_px", json!(args.label_px())),
-        (
-            "flow.lockstep",
-            json!({"frames_per_step": args.batch, "publish_every": PUBLISH_EVERY, "first_step": first_step}),
-        ),
+        ("flow.lockstep", lockstep),
         ("consistency.tau_px_at_256", json!(args.tau)),
+        ("consistency.label", json!(if args.own_flow { "teacher_flow" } else { "mean_vote" })),
         ("consistency.accept_all", json!(args.accept_all_labels)),
         ("consistency.picture_every", json!((samples / PICTURES).max(1))),
         ("consistency.pictures", json!(folder.join(LABELS))),
@@ -76,10 +82,22 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
     for (key, value) in settings {
         graph.set(key, &value.to_string())?;
     }
+    if args.single_look {
+        look_once(&mut graph)?;
+    }
     if let Some(path) = &args.record {
         graph.nodes.insert("recorder".into(), recorder(path)?);
     }
     Ok(graph)
+}
+
+/// Renders the views around the initial poses as they come, as in the paper.
+fn look_once(graph: &mut Graph) -> Result<()> {
+    graph.nodes.retain(|name, _| !["look", "look_flow", "pnp"].contains(&name.as_str()));
+    let renderer = graph.nodes.get_mut("renderer").context("the graph has a renderer")?;
+    let poses = "player/initial_poses".parse().map_err(anyhow::Error::msg)?;
+    renderer.inputs.insert("initial_poses".into(), poses);
+    Ok(())
 }
 
 /// Samples and the pictures of their labels, ten a second in the order of the training.
