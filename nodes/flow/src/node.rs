@@ -114,6 +114,8 @@ pub struct FlowNode {
     engine: Box<dyn FlowEngine>,
     /// `None` while those of the start serve.
     weights_version: Option<u64>,
+    /// In lockstep: what served before, for frames that another node's death brings back.
+    before: Option<(u64, Box<dyn FlowEngine>)>,
     reference: Vec<f32>,
     real: Vec<f32>,
     planes: Vec<f32>,
@@ -167,10 +169,15 @@ impl FlowNode {
         if self.weights_version == Some(wanted) {
             return Ok(());
         }
-        // `ready` lets only frames through that want one of the two.
-        let onnx = if newest == wanted { weights.onnx } else { weights.previous_onnx };
-        self.engine = open(onnx, &self.config.engine)?;
-        self.weights_version = Some(wanted);
+        let engine = match self.before.take() {
+            Some((version, engine)) if version == wanted => engine,
+            // `ready` lets only frames through that want one of the two.
+            _ if newest == wanted => open(weights.onnx, &self.config.engine)?,
+            _ => open(weights.previous_onnx, &self.config.engine)?,
+        };
+        let served = std::mem::replace(&mut self.engine, engine);
+        let version = self.weights_version.replace(wanted);
+        self.before = version.filter(|_| self.config.lockstep.is_some()).map(|version| (version, served));
         log::debug!("publication {wanted} is in use from frame {frame} on");
         Ok(())
     }
@@ -225,7 +232,7 @@ impl Node for FlowNode {
         let engine = open(&onnx, &config.engine)?;
         log::info!("{} computes flow of {} px with {}", engine.describe(), config.size_px, config.model.display());
         let (reference, real, planes) = (Vec::new(), Vec::new(), Vec::new());
-        let mut node = Self { config, engine, weights_version: None, reference, real, planes };
+        let mut node = Self { config, engine, weights_version: None, before: None, reference, real, planes };
         node.warm_up()?;
         Ok(node)
     }
@@ -233,7 +240,7 @@ impl Node for FlowNode {
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
         let Some(lockstep) = self.config.lockstep else { return Ok(true) };
         let wanted = lockstep.publication_for(inputs.key().index);
-        if self.weights_version == Some(wanted) {
+        if self.weights_version == Some(wanted) || self.before.as_ref().is_some_and(|(version, _)| *version == wanted) {
             return Ok(true);
         }
         if inputs.bytes("weights").is_none() {

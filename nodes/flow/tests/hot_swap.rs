@@ -136,6 +136,10 @@ fn lockstep_waits_for_its_publication_and_never_takes_a_newer_one() {
     assert_eq!(version, 1);
     let mut other = open(folder.path(), engines()[0].clone(), None);
     assert_eq!(out, flow(&mut other, &inputs(0, Some(message(9, 2, None)))).1, "that of number 1, not of number 2");
+    // A recorder's death brings frame 3 back: the engine that it had is still there, whatever has come since.
+    let again = inputs(3, Some(message(2, 3, Some(2))));
+    assert!(node.ready(&again).unwrap());
+    assert_eq!(flow(&mut node, &again).0, 0);
     // Frame 4 comes again when the trainer, which has taken it, is two publications ahead: its acknowledgement is on
     // its way, and whoever computed the frame anew would do so with other weights.
     let node = open(folder.path(), engines()[0].clone(), Some(lockstep));
