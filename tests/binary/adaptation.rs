@@ -88,6 +88,42 @@ fn killing_any_node_leaves_the_same_weights() {
     }
 }
 
+/// `pseudoflow adapt`, as small as it gets.
+fn adapt(out: &Path, more: &[&str]) -> std::process::Command {
+    let mut command = pseudoflow();
+    command
+        .args(["adapt", "--bag", "bags/tabletop_demo", "--init", "/initial_poses", "--unjudged"])
+        .args(["--objects", "config/objects/tabletop", "--weights", "config/weights/nano_tabletop.safetensors"])
+        .args(["--steps", "8", "--batch", "1", "--partners", "1", "--size", "64", "--label-size", "64", "--tau", "16"])
+        .arg("--out")
+        .arg(out)
+        .args(more)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    command
+}
+
+#[test]
+fn an_interrupted_adaptation_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (whole, broken) = (folder.path().join("whole.safetensors"), folder.path().join("broken.safetensors"));
+    assert!(adapt(&whole, &[]).status().expect("it starts").success());
+    let mut run = adapt(&broken, &[]).spawn().expect("it starts");
+    let log = folder.path().join("broken.adapt/adapt.csv");
+    let deadline = Instant::now() + Duration::from_secs(120);
+    while std::fs::read_to_string(&log).unwrap_or_default().lines().count() < 3 {
+        assert!(Instant::now() < deadline, "no two steps within two minutes");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let kill = std::process::Command::new("kill").args(["-INT", &run.id().to_string()]).status();
+    assert!(kill.expect("kill is there").success());
+    assert!(!run.wait().expect("it ends").success(), "an interrupted training says so");
+    assert!(!broken.exists(), "and leaves no weights");
+    assert!(adapt(&broken, &["--resume"]).status().expect("it starts").success());
+    let bytes = |path: &Path| std::fs::read(path).expect("weights");
+    assert!(bytes(&whole) == bytes(&broken), "the interruption changed the weights");
+}
+
 #[test]
 fn adapt_refuses_what_it_cannot_use() {
     let folder = tempfile::tempdir().expect("a folder");
