@@ -208,6 +208,9 @@ fn jobs<'a>(ablation: &'a Ablation, out: &Path) -> Result<Vec<Job<'a>>> {
             let words = job.adapt_words()?;
             Options::try_parse_from(std::iter::once("adapt".to_owned()).chain(words))
                 .with_context(|| format!("row `{}`", row.name))?;
+            if let Some(other) = jobs.iter().find(|other: &&Job<'_>| other.folder == job.folder) {
+                bail!("rows `{}` and `{}` would share {}: rename one", other.row.name, row.name, job.folder.display());
+            }
             jobs.push(job);
         }
     }
@@ -270,6 +273,9 @@ mod tests {
         let bad = ablation("- {name: typo, adapt: {photo_wait: 0}}");
         let error = format!("{:#}", super::jobs(&bad, Path::new("out")).err().unwrap());
         assert!(error.contains("typo") && error.contains("photo-wait"), "{error}");
+        let twice = ablation("- {name: a b}\n- {name: a_b}");
+        let error = super::jobs(&twice, Path::new("out")).err().unwrap().to_string();
+        assert!(error.contains("`a b` and `a_b`"), "{error}");
     }
 
     #[test]

@@ -8,6 +8,7 @@ use pseudoflow_player::{PlayerConfig, PlayerNode, Sampling};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node, Produced};
 use pseudoflow_trainer::adapt::{AdaptState, Sample, TrainerConfig};
+use std::fmt::Write as _;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -150,12 +151,15 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let mut state = AdaptState::new(&config)?;
     let style = ProgressStyle::with_template("{bar:30} step {pos}/{len} {msg} {eta}")?;
     let bar = ProgressBar::new(args.steps).with_style(style);
+    let mut log = String::from("step,loss_flow,epe_px,grad_norm\n");
     for step in 0..args.steps {
         let numbers = step * args.batch..(step + 1) * args.batch;
         let samples = numbers.map(|n| source.sample(n)).collect::<Result<Vec<_>, Failure>>()?;
         let result = state.train(&samples.into_iter().flatten().collect::<Vec<_>>(), &config)?;
         bar.set_message(format!("loss {:.3} EPE {:.2} px", result.loss_flow, result.epe_px));
         bar.inc(1);
+        writeln!(log, "{},{},{},{}", result.step, result.loss_flow, result.epe_px, result.grad_norm)?;
+        std::fs::write(args.out.with_extension("csv"), &log)?;
     }
     bar.finish();
     state.teacher().save(&args.out)?;
