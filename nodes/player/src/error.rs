@@ -11,6 +11,9 @@ pub enum PlayerError {
     /// The BOP folder, its images or poses.
     #[error(transparent)]
     Imaging(#[from] ImagingError),
+    /// A BOP result file of initial poses.
+    #[error(transparent)]
+    Results(#[from] pseudoflow_metrics::ResultsError),
     /// Neither a bag nor a BOP scene.
     #[error(
         "`source: {0}`: no recording there: give a rosbag2 folder, an .mcap file or a BOP scene folder (with scene_camera.json)"

@@ -8,6 +8,7 @@ mod bag_source;
 mod bop_source;
 mod error;
 mod from_bop;
+mod given;
 mod node;
 mod sampling;
 mod several;

@@ -1,9 +1,9 @@
-use crate::bop_source::given_poses;
+use crate::given::{GivenPoses, is_result_file};
 use crate::sampling::{Sample, Sampler, Sampling};
 use crate::several::Several;
 use crate::source::FrameFacts;
 use crate::{BagOptions, BagSource, BopSource, FrameSource, LoadedFrame, PlayerError};
-use pseudoflow_imaging::{InitialPose, ObjectSet, read_initial_poses};
+use pseudoflow_imaging::ObjectSet;
 use pseudoflow_msgs::ros::Naming;
 use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader,
@@ -56,8 +56,9 @@ pub struct InitialPoses {
     /// A topic of the bag (vision_msgs/Detection3DArray).
     #[serde(default)]
     pub topic: Option<String>,
-    /// A file as `init_poses.json` of BOP sets: poses by image id (of a bag that no BOP scene became: the frame's
-    /// count). They hold instead of the scene's own.
+    /// A BOP result file (.csv: scene and image of each pose), or a file as `init_poses.json` of BOP sets: poses by image
+    /// id. A bag that no BOP scene became is scene 0, its image ids are the frames' count. They hold instead of the
+    /// recording's own.
     #[serde(default)]
     pub file: Option<PathBuf>,
 }
@@ -85,8 +86,8 @@ impl PlayerConfig {
 pub struct PlayerNode {
     config: PlayerConfig,
     source: Box<dyn FrameSource>,
-    /// Of `initial_poses.file`, by image id.
-    poses: Option<BTreeMap<u32, Vec<InitialPose>>>,
+    /// Of `initial_poses.file`.
+    poses: Option<GivenPoses>,
     sampler: Sampler,
 }
 
@@ -140,17 +141,6 @@ fn check_objects(config: &PlayerConfig, objects: &BTreeMap<u32, usize>, known: &
     }
 }
 
-/// The objects of a file of poses, each with the first image that has one.
-fn objects_of(poses: &BTreeMap<u32, Vec<InitialPose>>) -> BTreeMap<u32, usize> {
-    let mut objects = BTreeMap::new();
-    for (image_id, poses) in poses {
-        for pose in poses {
-            objects.entry(pose.object_id).or_insert(*image_id as usize);
-        }
-    }
-    objects
-}
-
 impl PlayerNode {
     /// Frames of the recordings.
     #[must_use]
@@ -160,20 +150,20 @@ impl PlayerNode {
 
     fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {
         let mut frame = self.source.load(number)?;
-        self.choose_poses(frame.header.image_id, &mut frame.initial_poses);
+        self.choose_poses(frame.header.scene_id, frame.header.image_id, &mut frame.initial_poses);
         Ok(frame)
     }
 
     fn facts(&mut self, number: usize) -> Result<FrameFacts, PlayerError> {
         let mut facts = self.source.facts(number)?;
-        self.choose_poses(facts.image_id, &mut facts.initial_poses);
+        self.choose_poses(facts.scene_id, facts.image_id, &mut facts.initial_poses);
         Ok(facts)
     }
 
     /// The poses of the file where there is one, and only those of wanted objects.
-    fn choose_poses(&self, image_id: u32, initial_poses: &mut Vec<ObjectPose>) {
+    fn choose_poses(&self, scene_id: u32, image_id: u32, initial_poses: &mut Vec<ObjectPose>) {
         if let Some(poses) = &self.poses {
-            *initial_poses = poses.get(&image_id).map(|poses| given_poses(poses)).unwrap_or_default();
+            *initial_poses = poses.of(scene_id, image_id);
         }
         if let Some(wanted) = &self.config.only_objects {
             initial_poses.retain(|pose| wanted.contains(&pose.object_id));
@@ -258,10 +248,10 @@ impl Node for PlayerNode {
         if let Some(path) = std::iter::once(&config.source).chain(&config.also).find(|path| !path.exists()) {
             return Err(PlayerError::NoRecording(path.clone()).into());
         }
-        if !config.also.is_empty() && config.initial_poses.file.is_some() {
-            return Err(
-                "`initial_poses.file`: image ids of several recordings cannot be told apart: leave out `also`".into()
-            );
+        if !config.also.is_empty() && config.initial_poses.file.as_deref().is_some_and(|file| !is_result_file(file)) {
+            let text = "`initial_poses.file`: image ids of several recordings cannot be told apart: give a BOP result \
+                        file (.csv), or leave out `also`";
+            return Err(text.into());
         }
         if config.sampling.as_ref().is_some_and(|s| s.held_out_every.is_some_and(|every| every < 2)) {
             return Err("`sampling.held_out_every`: give at least 2, or leave it out".into());
@@ -284,9 +274,9 @@ impl Node for PlayerNode {
         let naming =
             Naming::new(names).map_err(|name| format!("names.json: two objects are called `{name}`: rename one"))?;
         let source = open_all(&config, &naming)?;
-        let poses = config.initial_poses.file.as_deref().map(read_initial_poses).transpose()?;
+        let poses = config.initial_poses.file.as_deref().map(GivenPoses::read).transpose()?;
         if let Some(set) = &objects {
-            let sent = poses.as_ref().map_or_else(|| source.objects(), objects_of);
+            let sent = poses.as_ref().map_or_else(|| source.objects(), GivenPoses::objects);
             check_objects(&config, &sent, &set.ids())?;
         }
         log::info!("{}: {} frames", config.source.display(), source.count());

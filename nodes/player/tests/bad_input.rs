@@ -374,6 +374,34 @@ fn poses_from_a_file() {
     assert_says(&refused(PlayerConfig { initial_poses: both, ..config() }), &["`topic`", "`file`"]);
 }
 
+#[test]
+fn poses_from_a_result_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = bop_scene(folder.path(), [(32, 24); 3], "png");
+    let file = folder.path().join("method_set-test.csv");
+    let config = || PlayerConfig {
+        initial_poses: InitialPoses { topic: None, file: Some(file.clone()) },
+        objects: Some(object_set(folder.path())),
+        ..config(&scene)
+    };
+    let header = "scene_id,im_id,obj_id,score,R,t,time\n";
+    let row = |scene: u32, image: u32, object: u32, z: u32| {
+        format!("{scene},{image},{object},0.5,1 0 0 0 1 0 0 0 1,0 0 {z},-1\n")
+    };
+    let write = |rows: String| std::fs::write(&file, format!("{header}{rows}")).unwrap();
+    // Of the two scenes of the file this is 42; the scene's own poses (image 10) are not taken.
+    write(row(42, 20, 5, 500) + &row(42, 20, 5, 250) + &row(7, 10, 1, 500));
+    let mut node = create(config()).unwrap();
+    assert_eq!([0, 1].map(|number| played(&mut node, number).unwrap().2.len()), [0, 0]);
+    let poses = played(&mut node, 2).unwrap().2;
+    let seen: Vec<_> = poses.iter().map(|p| (p.object_id, p.instance, p.translation_m[2], p.score)).collect();
+    assert_eq!(seen, [(5, 0, 0.5, 0.5), (5, 1, 0.25, 0.5)]);
+    write(row(42, 20, 8, 700));
+    assert_says(&refused(config()), &["method_set-test.csv", "object 8", "[1, 5]"]);
+    write("42,20,5,0.5,1 0 0 0 1 0 0 0 NaN,0 0 700,-1\n".into());
+    assert_says(&refused(config()), &["method_set-test.csv", "2"]);
+}
+
 /// A BOP scene of three images.
 fn bop_scene(folder: &Path, sizes: [(u32, u32); 3], suffix: &str) -> PathBuf {
     let scene = folder.join("000042");

@@ -20,7 +20,8 @@ pub(crate) struct Args {
     /// The object set: a BOP `models/` folder.
     #[arg(long)]
     objects: PathBuf,
-    /// Initial poses: a topic (`/initial_poses`) or a file as `init_poses.json`. BOP scenes bring their own.
+    /// Initial poses: a topic (`/initial_poses`), a BOP result file (.csv), or a file as `init_poses.json`. BOP scenes bring
+    /// their own.
     #[arg(long)]
     init: Option<String>,
     /// Weights to begin with (.safetensors).
