@@ -117,6 +117,7 @@ impl Node for RendererNode {
         vec![
             PortSpec::required::<CameraFrame<'static>>("frame"),
             PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
+            PortSpec::optional::<ObjectPoses<'static>>("around"),
             PortSpec::optional::<PartnerFrames<'static>>("partners"),
         ]
     }
@@ -160,7 +161,12 @@ impl Node for RendererNode {
         let [fx, fy, cx, cy] = frame.header.intrinsics;
         let intrinsics = Intrinsics { fx, fy, cx, cy };
         let mut rng = context.rng(self.first_frame + inputs.key().index, "views");
-        let plan = plan(initial.poses, &self.objects, &intrinsics, (width, height), &self.settings, &mut rng)?;
+        let around = match inputs.bytes("around") {
+            Some(_) => read::<ObjectPoses<'static>>(inputs, "around")?.poses,
+            None => &[],
+        };
+        let size = (width, height);
+        let plan = plan(initial.poses, around, &self.objects, &intrinsics, size, &self.settings, &mut rng)?;
         let renderings = self.rasteriser.render(&plan.rasteriser_views(self.settings.size_px))?;
         let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
         let crops: Vec<RgbImage> = plan.instances.iter().map(|i| resample(&image, &i.crop)).collect();

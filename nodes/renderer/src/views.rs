@@ -24,7 +24,7 @@ pub struct PlannedInstance {
     pub place: usize,
     /// The pose that came in.
     pub initial: ObjectPose,
-    /// `camera_from_object` of each view; the first is the initial pose.
+    /// `camera_from_object` of each view; the first is the initial pose, the others lie around it or a better one.
     pub poses: Vec<Pose>,
     /// The crop, the same for all views.
     pub crop: Crop,
@@ -58,12 +58,15 @@ impl Plan {
     }
 }
 
-/// Decides crops and view poses for the initial poses of a frame of `width` x `height` pixels.
+/// Decides crops and view poses for the initial poses of a frame of `width` x `height` pixels. `around` may hold better
+/// poses of the same objects (those of a first look), which the further views are laid around; the crop and the first
+/// view stay with the initial pose, as the network meets it in use.
 ///
 /// # Errors
 /// When a pose names an object that the set does not have.
 pub fn plan(
     initial: &[ObjectPose],
+    around: &[ObjectPose],
     objects: &ObjectSet,
     intrinsics: &Intrinsics,
     (width, height): (u32, u32),
@@ -74,12 +77,14 @@ pub fn plan(
     for (place, pose) in initial.iter().enumerate() {
         let object = objects.get(pose.object_id)?;
         let jitter = Jitter::views(object.diameter_m);
+        let better = around.iter().find(|p| (p.object_id, p.instance) == (pose.object_id, pose.instance));
+        let better = better.and_then(|p| pose_from_quaternion(&p.rotation_xyzw, &p.translation_m).ok());
         match crop_around(pose, objects, intrinsics, (width, height), settings)? {
             None => plan.skipped.push(ObjectPose { status: PoseStatus::NotVisible as u32, ..*pose }),
             Some((at, crop)) => plan.instances.push(PlannedInstance {
                 place,
                 initial: *pose,
-                poses: view_poses(&at, &jitter, settings.views, rng),
+                poses: view_poses(&at, &better.unwrap_or(at), &jitter, settings.views, rng),
                 crop,
                 crop_intrinsics: crop.intrinsics(intrinsics),
                 diameter_m: object.diameter_m,
@@ -104,11 +109,11 @@ pub(crate) fn crop_around(
     }))
 }
 
-/// The initial pose and `views - 1` jittered ones, all in front of the camera.
-fn view_poses(initial: &Pose, jitter: &Jitter, views: u32, rng: &mut impl Rng) -> Vec<Pose> {
+/// The initial pose and `views - 1` around `centre`, all in front of the camera.
+fn view_poses(initial: &Pose, centre: &Pose, jitter: &Jitter, views: u32, rng: &mut impl Rng) -> Vec<Pose> {
     let mut poses = vec![*initial];
     while poses.len() < views as usize {
-        let pose = jitter.sample(initial, rng);
+        let pose = jitter.sample(centre, rng);
         if pose.translation.z > 0.5 * initial.translation.z {
             poses.push(pose);
         }

@@ -116,12 +116,12 @@ impl Nodes {
             step(renderer, &mut messages, &self.context)?;
             step(&mut self.flow, &mut messages, &self.context)?;
             step(pnp, &mut messages, &self.context)?;
-            messages.messages.retain(|(port, _)| port == "frame" || port == "poses");
+            messages.messages.retain(|(port, _)| ["frame", "initial_poses", "poses"].contains(&port.as_str()));
             messages
                 .messages
                 .iter_mut()
                 .filter(|(port, _)| port == "poses")
-                .for_each(|(port, _)| *port = "initial_poses".into());
+                .for_each(|(port, _)| *port = "around".into());
         }
         step(&mut self.renderer, &mut messages, &self.context)?;
         step(&mut self.flow, &mut messages, &self.context)?;

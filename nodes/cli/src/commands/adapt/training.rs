@@ -95,8 +95,7 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
 fn look_once(graph: &mut Graph) -> Result<()> {
     graph.nodes.retain(|name, _| !["look", "look_flow", "pnp"].contains(&name.as_str()));
     let renderer = graph.nodes.get_mut("renderer").context("the graph has a renderer")?;
-    let poses = "player/initial_poses".parse().map_err(anyhow::Error::msg)?;
-    renderer.inputs.insert("initial_poses".into(), poses);
+    renderer.inputs.shift_remove("around");
     Ok(())
 }
 
