@@ -1,6 +1,6 @@
 use crate::source::{FrameFacts, check_sizes};
 use crate::{FrameSource, LoadedFrame, PlayerError};
-use pseudoflow_geometry::quaternion_xyzw;
+use pseudoflow_geometry::{Pose, quaternion_xyzw};
 use pseudoflow_imaging::{BopFrame, BopScene, ImagingError, InitialPose, image_size};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
 use std::collections::BTreeMap;
@@ -57,18 +57,23 @@ fn size_of_file(path: &Path) -> Result<(u32, u32), ImagingError> {
 pub(crate) fn given_poses(poses: &[InitialPose]) -> Vec<ObjectPose> {
     let mut given = Vec::<ObjectPose>::new();
     for InitialPose { object_id, camera_from_object } in poses {
-        given.push(ObjectPose {
-            object_id: *object_id,
-            instance: given.iter().filter(|p| p.object_id == *object_id).count() as u32,
-            status: PoseStatus::Ok as u32,
-            source: PoseSource::Given as u32,
-            score: 1.0,
-            rotation_xyzw: quaternion_xyzw(camera_from_object),
-            translation_m: camera_from_object.translation.vector.into(),
-            covariance: [0.0; 36],
-        });
+        add_given(&mut given, *object_id, 1.0, camera_from_object);
     }
     given
+}
+
+/// Adds a pose from outside to those of a frame: instances of an object are counted.
+pub(crate) fn add_given(given: &mut Vec<ObjectPose>, object_id: u32, score: f64, camera_from_object: &Pose) {
+    given.push(ObjectPose {
+        object_id,
+        instance: given.iter().filter(|p| p.object_id == object_id).count() as u32,
+        status: PoseStatus::Ok as u32,
+        source: PoseSource::Given as u32,
+        score,
+        rotation_xyzw: quaternion_xyzw(camera_from_object),
+        translation_m: camera_from_object.translation.vector.into(),
+        covariance: [0.0; 36],
+    });
 }
 
 impl FrameSource for BopSource {

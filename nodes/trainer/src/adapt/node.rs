@@ -60,9 +60,9 @@ impl TrainerNode {
         Ok(export_onnx(weights, &self.network, ExportOptions { size_px, iterations, batch: None })?)
     }
 
-    /// The step that a frame belongs to, counted from 0.
-    fn step_of(&self, frame: u64) -> u64 {
-        self.config.first_step + frame / self.config.frames_per_step
+    /// A frame's place in the whole training, of which this run may be a later part.
+    fn place_of(&self, frame: u64) -> u64 {
+        self.config.first_step * self.config.frames_per_step + frame
     }
 
     fn send(&self, key: FrameKey, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
@@ -88,7 +88,7 @@ impl TrainerNode {
             let text = format!("views, flow and labels are {sizes:?} px wide, `size_px` is {}", self.config.size_px);
             return Err(TrainerError::Message(text).into());
         }
-        let place = self.config.first_step * self.config.frames_per_step + inputs.key().index;
+        let place = self.place_of(inputs.key().index);
         for (instance, info) in labels.info.iter().enumerate() {
             if info.usable == 1 {
                 let mut rng = context.rng(place, &format!("augment {instance}"));
@@ -200,12 +200,12 @@ impl Node for TrainerNode {
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let index = inputs.key().index;
-        if self.step_of(index) >= self.config.steps {
+        let place = self.place_of(index);
+        if place >= self.config.steps * self.config.frames_per_step {
             return Ok(());
         }
-        let within = self.config.first_step * self.config.frames_per_step + index;
         let next = self.state.step() * self.config.frames_per_step + self.batch.frames;
-        match within.cmp(&next) {
+        match place.cmp(&next) {
             // Repeated for another node's sake: this one has it.
             std::cmp::Ordering::Less => return Ok(()),
             std::cmp::Ordering::Greater => {

@@ -1,7 +1,7 @@
 use super::photo::{PhotoSample, photo_loss};
 use super::{Sample, TrainerConfig};
 use crate::TrainerError;
-use pseudoflow_network::{Device, ExtraLoss, FlowBatch, NetworkConfig, TrainConfig, TrainState, Weights};
+use pseudoflow_network::{Device, ExtraLoss, FlowBatch, TrainConfig, TrainState, Weights};
 use std::path::Path;
 
 /// Names of the other weights in a checkpoint.
@@ -44,17 +44,13 @@ pub fn steps_taken(checkpoint: &Path) -> Result<u64, TrainerError> {
     Ok(Weights::read_info(checkpoint)?.step)
 }
 
-fn sized(config: &TrainerConfig) -> Result<NetworkConfig, TrainerError> {
-    config.resolve_network()
-}
-
 impl AdaptState {
     /// Begins a training: student and teacher from the same weights.
     ///
     /// # Errors
     /// The weights are unreadable or those of another network.
     pub fn new(config: &TrainerConfig) -> Result<Self, TrainerError> {
-        let network = sized(config)?;
+        let network = config.resolve_network()?;
         let weights = Weights::load(&config.weights, &network)?;
         let training = TrainConfig::new(config.max_lr, config.steps);
         let student = TrainState::new(network, training, weights, &Device::flex())?;
@@ -68,7 +64,7 @@ impl AdaptState {
     /// It is unreadable, damaged, or of another network or schedule.
     pub fn load(path: &Path, config: &TrainerConfig) -> Result<Self, TrainerError> {
         let names = [TEACHER, PUBLISHED, BEFORE];
-        let (student, mut others) = TrainState::load_with(path, sized(config)?, &Device::flex(), &names)?;
+        let (student, mut others) = TrainState::load_with(path, config.resolve_network()?, &Device::flex(), &names)?;
         let wanted = TrainConfig::new(config.max_lr, config.steps);
         if student.config != wanted {
             return Err(TrainerError::OtherRun {

@@ -1,5 +1,5 @@
 use crate::truth::Truth;
-use crate::{Failure, bytes, context, network, player, step};
+use crate::{Failure, Source, bytes, context, network, step};
 use pseudoflow_consistency::{ConsistencyConfig, ConsistencyNode, Label, label_panel};
 use pseudoflow_flow::{EngineConfig, FlowConfig, FlowNode};
 use pseudoflow_msgs::{FlowFields, Message, PseudoLabels, ReferenceViews};
@@ -15,15 +15,8 @@ const TAUS_AT_256: [f32; 6] = [0.5, 1.0, 1.5, 2.0, 4.0, 8.0];
 /// 256 px crop) of the truth.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Recordings: BOP scenes, whose names are those of `--truth`.
-    #[arg(long = "bag", required = true, num_args = 1..)]
-    bags: Vec<PathBuf>,
-    /// Folder of `SCENE/scene_gt.json`.
-    #[arg(long)]
-    truth: PathBuf,
-    /// The object set: a BOP `models/` folder.
-    #[arg(long)]
-    objects: PathBuf,
+    #[command(flatten)]
+    source: Source,
     /// The teacher's weights.
     #[arg(long)]
     weights: PathBuf,
@@ -75,7 +68,7 @@ struct Nodes {
 impl Nodes {
     fn open(args: &Args) -> Result<Self, Failure> {
         let context = context(args.seed);
-        let renderer = RendererConfig { views: 4, ..RendererConfig::new(args.objects.clone(), args.size) };
+        let renderer = RendererConfig { views: 4, ..RendererConfig::new(args.source.objects.clone(), args.size) };
         let flow = FlowConfig {
             model: args.weights.clone(),
             network: network(&args.network)?,
@@ -93,14 +86,14 @@ impl Nodes {
         };
         let first_look = match args.refine_first {
             true => Some((
-                RendererNode::create(RendererConfig::new(args.objects.clone(), args.size), &context)?,
+                RendererNode::create(RendererConfig::new(args.source.objects.clone(), args.size), &context)?,
                 PnpNode::create(PnpNodeConfig::default(), &context)?,
             )),
             false => None,
         };
         Ok(Self {
             first_look,
-            player: PlayerNode::create(player(&args.bags, &args.objects), &context)?,
+            player: PlayerNode::create(args.source.player(), &context)?,
             renderer: RendererNode::create(renderer, &context)?,
             flow: FlowNode::create(flow, &context)?,
             consistency: ConsistencyNode::create(labels, &context)?,
@@ -171,7 +164,7 @@ fn draw(
 }
 
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
-    let truth = Truth::read(&args.truth, &args.objects)?;
+    let truth = args.source.truth()?;
     let mut nodes = Nodes::open(args)?;
     let mut tally = Tally::default();
     for (i, number) in (0..nodes.player.count()).step_by(args.every.max(1)).enumerate() {

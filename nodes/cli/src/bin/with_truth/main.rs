@@ -12,8 +12,10 @@ mod train;
 mod truth;
 
 use clap::Parser;
+use pseudoflow_player::PlayerConfig;
 use pseudoflow_runtime::{Context, InMemory, Node, NodeError};
-use std::path::Path;
+use std::path::PathBuf;
+use truth::Truth;
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -24,6 +26,34 @@ enum Command {
     Train(train::Args),
     /// Compares pseudo-labels with the true flow.
     Audit(audit::Args),
+}
+
+/// The recordings, and what is true in them.
+#[derive(clap::Args)]
+struct Source {
+    /// Recordings: BOP scenes, whose names are those of `--truth`.
+    #[arg(long = "bag", required = true, num_args = 1..)]
+    bags: Vec<PathBuf>,
+    /// Folder of `SCENE/scene_gt.json`.
+    #[arg(long)]
+    truth: PathBuf,
+    /// The object set: a BOP `models/` folder.
+    #[arg(long)]
+    objects: PathBuf,
+}
+
+impl Source {
+    fn player(&self) -> PlayerConfig {
+        PlayerConfig {
+            also: self.bags[1..].to_vec(),
+            objects: Some(self.objects.clone()),
+            ..PlayerConfig::new(self.bags[0].clone())
+        }
+    }
+
+    fn truth(&self) -> Result<Truth, Failure> {
+        Truth::read(&self.truth, &self.objects)
+    }
 }
 
 fn main() -> Result<(), Failure> {
@@ -56,12 +86,4 @@ fn bytes<'a>(messages: &'a InMemory, port: &str) -> Result<&'a [u8], Failure> {
 fn network(name: &str) -> Result<pseudoflow_flow::Network, Failure> {
     serde_json::from_value(serde_json::Value::from(name))
         .map_err(|_| format!("`--network {name}`: write nano, small or paper").into())
-}
-
-fn player(source: &[std::path::PathBuf], models: &Path) -> pseudoflow_player::PlayerConfig {
-    pseudoflow_player::PlayerConfig {
-        also: source[1..].to_vec(),
-        objects: Some(models.to_owned()),
-        ..pseudoflow_player::PlayerConfig::new(source[0].clone())
-    }
 }

@@ -1,5 +1,5 @@
 use crate::truth::Truth;
-use crate::{Failure, bytes, context, player, step};
+use crate::{Failure, Source, bytes, context, step};
 use indicatif::{ProgressBar, ProgressStyle};
 use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FlowFieldsHeader, Message, PseudoLabels, PseudoLabelsHeader, ReferenceViews,
@@ -13,15 +13,8 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Recordings: BOP scenes, whose names are those of `--truth`.
-    #[arg(long = "bag", required = true, num_args = 1..)]
-    bags: Vec<PathBuf>,
-    /// Folder of `SCENE/scene_gt.json`.
-    #[arg(long)]
-    truth: PathBuf,
-    /// The object set: a BOP `models/` folder.
-    #[arg(long)]
-    objects: PathBuf,
+    #[command(flatten)]
+    source: Source,
     /// Weights to begin with.
     #[arg(long)]
     weights: PathBuf,
@@ -61,7 +54,7 @@ pub(crate) struct Args {
 }
 
 /// The nodes that make samples, with truth in the place of the teacher.
-struct Source {
+struct Samples {
     player: PlayerNode,
     renderer: RendererNode,
     truth: Truth,
@@ -69,7 +62,7 @@ struct Source {
     seed: u64,
 }
 
-impl Source {
+impl Samples {
     fn open(args: &Args) -> Result<Self, Failure> {
         let sampling = Sampling {
             samples: args.steps * args.batch,
@@ -77,14 +70,15 @@ impl Source {
             budget_frames: args.budget_frames,
             ..Sampling::holding_out(args.held_out_every)
         };
-        let player = PlayerConfig { sampling: Some(sampling), ..player(&args.bags, &args.objects) };
-        let renderer = RendererConfig { views: args.views, ..RendererConfig::new(args.objects.clone(), args.size) };
+        let player = PlayerConfig { sampling: Some(sampling), ..args.source.player() };
+        let renderer =
+            RendererConfig { views: args.views, ..RendererConfig::new(args.source.objects.clone(), args.size) };
         // The names of the nodes are those of the graph, so that what they draw is the same.
         let named = |name: &str| Context { name: name.into(), ..context(args.seed) };
         Ok(Self {
             player: PlayerNode::create(player, &named("player"))?,
             renderer: RendererNode::create(renderer, &named("renderer"))?,
-            truth: Truth::read(&args.truth, &args.objects)?,
+            truth: args.source.truth()?,
             context: named("player"),
             seed: args.seed,
         })
@@ -137,7 +131,7 @@ impl Source {
 }
 
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
-    let mut source = Source::open(args)?;
+    let mut source = Samples::open(args)?;
     let config = TrainerConfig {
         network: args.network.clone(),
         size_px: args.size,
