@@ -90,9 +90,7 @@ impl NetworkConfig {
     /// Fingerprint (FNV-1a, 64 bit, hex) of what decides the weights' meaning; written into weight files.
     pub fn hash(&self) -> String {
         let text = format!("{:?} {} {}", self.arch, self.size_px, self.iterations_train);
-        let hash =
-            text.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
-        format!("{hash:016x}")
+        crate::model::fingerprint(&text)
     }
 }
 

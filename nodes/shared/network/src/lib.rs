@@ -1,9 +1,11 @@
 //! The flow network: RAFT in burn with own CPU kernels, its losses, optimiser, training state and ONNX export.
 
 mod config;
+mod detector;
 mod error;
 mod kernels;
 mod loss;
+mod model;
 mod onnx;
 pub mod ops;
 mod optim;
@@ -13,8 +15,13 @@ mod weights;
 
 pub use burn::tensor::{Device, Tensor};
 pub use config::{Architecture, NetworkConfig};
+pub use detector::{
+    CORNERS, Cell, DetectionLoss, Detector, DetectorConfig, DetectorOutput, Grid, InstanceTruth, LossWeights, STRIDES,
+    SceneTruth, detection_loss,
+};
 pub use error::{NetworkError, Result};
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
+pub use model::{Init, Model, Parameter, TensorSpec};
 pub use onnx::{ExportOptions, export_onnx};
 pub use optim::{AdamWConfig, OneCycle};
 pub use raft::Raft;

@@ -3,8 +3,8 @@
 use crate::config::NetworkConfig;
 use crate::error::{NetworkError, Result, io_error};
 use crate::loss::{FlowBatch, end_point_error, sequence_loss, values};
+use crate::model::{Model, gradients};
 use crate::optim::{AdamWConfig, Moments, OneCycle, adamw, clip_scale, global_norm};
-use crate::raft::Raft;
 use crate::weights::{NamedTensor, Weights, parse_with, serialize_with, write_atomically};
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
@@ -58,9 +58,9 @@ pub struct ExtraLoss {
 
 /// A training run in progress.
 #[derive(Debug)]
-pub struct TrainState {
+pub struct TrainState<M = NetworkConfig> {
     /// The network.
-    pub network: NetworkConfig,
+    pub network: M,
     /// How it is trained.
     pub config: TrainConfig,
     /// The weights; `weights.info.step` counts the steps.
@@ -69,19 +69,24 @@ pub struct TrainState {
     device: Device,
 }
 
-impl TrainState {
+impl<M: Model> TrainState<M> {
     /// Starts a run from weights, at step 0. `device` is a plain device such as `Device::flex()`.
     ///
     /// # Errors
     /// The weights belong to another architecture, or the configuration is out of range.
-    pub fn new(network: NetworkConfig, config: TrainConfig, mut weights: Weights, device: &Device) -> Result<Self> {
+    pub fn new(network: M, config: TrainConfig, mut weights: Weights, device: &Device) -> Result<Self> {
         network.check()?;
-        Raft::new(&weights, &network, device)?;
-        weights.info.network = network.name.clone();
+        network.build(&weights, device)?;
+        weights.info.network = network.name().to_owned();
         weights.info.config_hash = network.hash();
         weights.info.step = 0;
         let moments = weights.tensors().iter().map(|t| Moments::zeros(t.data.len())).collect();
         Ok(Self { network, config, weights, moments, device: device.clone() })
+    }
+
+    /// The plain device it trains on.
+    pub(crate) fn device(&self) -> Device {
+        self.device.clone()
     }
 
     /// Steps taken.
@@ -89,70 +94,16 @@ impl TrainState {
         self.weights.info.step
     }
 
-    /// One step on synthetic pairs of side [`NetworkConfig::size_px`] with [`sequence_loss`].
-    ///
-    /// # Errors
-    /// The batch has wrong lengths or values, or loss or gradient are not finite: the weights then stay as they were.
-    pub fn train_step(&mut self, batch: &FlowBatch<'_>) -> Result<StepStats> {
-        let device = self.device.clone().autodiff();
-        let data = batch.to_device(self.network.size_px, &device)?;
-        let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
-        let mut epe = f32::NAN;
-        let mut stats = self.step_with(|raft| {
-            let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
-            let last = values(flows[iterations - 1].clone());
-            epe = end_point_error(&last, &values(data.flow.clone()), &values(data.mask.clone()), batch.n);
-            sequence_loss(&flows, &data, gamma)
-        })?;
-        stats.epe = epe;
-        Ok(stats)
-    }
-
-    /// One step on `flow_weight` times [`sequence_loss`] plus a loss that the caller computes from the last flows
-    /// (n, 2, S, S), with its gradient there. `loss` of the returned is the sum of both.
-    ///
-    /// # Errors
-    /// As [`Self::train_step`].
-    ///
-    /// # Panics
-    /// When the gradient has another length than the flows.
-    pub fn train_step_with(
-        &mut self,
-        batch: &FlowBatch<'_>,
-        flow_weight: f32,
-        extra: impl FnOnce(&[f32]) -> ExtraLoss,
-    ) -> Result<StepStats> {
-        let device = self.device.clone().autodiff();
-        let data = batch.to_device(self.network.size_px, &device)?;
-        let (iterations, gamma, size_px) = (self.network.iterations_train, self.config.gamma, self.network.size_px);
-        let (mut epe, mut total) = (f32::NAN, f32::NAN);
-        let mut stats = self.step_with(|raft| {
-            let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
-            let last = flows[iterations - 1].clone();
-            let flow_px = values(last.clone());
-            epe = end_point_error(&flow_px, &values(data.flow.clone()), &values(data.mask.clone()), batch.n);
-            let flow_loss = sequence_loss(&flows, &data, gamma) * flow_weight;
-            let ExtraLoss { value, gradient } = extra(&flow_px);
-            assert_eq!(gradient.len(), flow_px.len(), "one gradient for each flow value");
-            total = values(flow_loss.clone())[0] + value;
-            // Linear in the flow: its gradient is the extra loss's.
-            let slope = Tensor::from_data(TensorData::new(gradient, [batch.n, 2, size_px, size_px]), &device);
-            flow_loss + (last * slope).sum()
-        })?;
-        (stats.epe, stats.loss) = (epe, total);
-        Ok(stats)
-    }
-
     /// One step on any loss of shape (1), given the network on the device with autodiff.
     ///
     /// # Errors
     /// Loss or gradient are not finite: the weights then stay as they were.
-    pub fn step_with(&mut self, loss: impl FnOnce(&Raft) -> Tensor<1>) -> Result<StepStats> {
-        let raft = Raft::new(&self.weights, &self.network, &self.device.clone().autodiff())?;
-        let loss = loss(&raft);
+    pub fn step_with(&mut self, loss: impl FnOnce(&M::Network) -> Tensor<1>) -> Result<StepStats> {
+        let network = self.network.build(&self.weights, &self.device.clone().autodiff())?;
+        let loss = loss(&network);
         let value = values(loss.clone())[0];
         self.check_finite(value.is_finite(), "the loss")?;
-        let mut by_name = raft.gradients(&loss.backward());
+        let mut by_name = gradients::<M>(&network, &loss.backward());
         let grads: Vec<Vec<f32>> =
             self.weights.tensors().iter().map(|t| by_name.remove(&t.name).unwrap_or_default()).collect();
         let grad_norm = global_norm(&grads);
@@ -221,7 +172,7 @@ impl TrainState {
     ///
     /// # Errors
     /// The file is unreadable or damaged, carries no optimiser state, or belongs to another network.
-    pub fn load(path: &Path, network: NetworkConfig, device: &Device) -> Result<Self> {
+    pub fn load(path: &Path, network: M, device: &Device) -> Result<Self> {
         Ok(Self::load_with(path, network, device, &[])?.0)
     }
 
@@ -229,12 +180,7 @@ impl TrainState {
     ///
     /// # Errors
     /// As [`Self::load`]; other weights are missing.
-    pub fn load_with(
-        path: &Path,
-        network: NetworkConfig,
-        device: &Device,
-        others: &[&str],
-    ) -> Result<(Self, Vec<Weights>)> {
+    pub fn load_with(path: &Path, network: M, device: &Device, others: &[&str]) -> Result<(Self, Vec<Weights>)> {
         let bytes = std::fs::read(path).map_err(io_error(path))?;
         let (info, mut tensors, metadata) = parse_with(&bytes, path)?;
         let problem = |text: String| NetworkError::Checkpoint { path: path.into(), problem: text };
@@ -247,7 +193,7 @@ impl TrainState {
             return Err(problem(text));
         }
         let mut moments = Vec::new();
-        for spec in network.arch.layout() {
+        for spec in network.layout() {
             let mut take = |prefix: &str| {
                 let found = tensors.remove(&format!("{prefix}{}", spec.name)).filter(|t| t.shape == spec.shape);
                 found.map(|t| t.data).ok_or_else(|| problem(format!("lacks `{prefix}{}` or its shape", spec.name)))
@@ -256,7 +202,7 @@ impl TrainState {
         }
         let origin = path.display().to_string();
         let other = |name: &&str| {
-            let own = network.arch.layout().into_iter().filter_map(|spec| {
+            let own = network.layout().into_iter().filter_map(|spec| {
                 let found = tensors.remove(&format!("{name}.{}", spec.name))?;
                 Some((spec.name.clone(), NamedTensor { name: spec.name, ..found }))
             });
@@ -265,6 +211,62 @@ impl TrainState {
         let others = others.iter().map(other).collect::<Result<Vec<_>>>()?;
         let weights = Weights::from_parts(info, tensors, &network, &origin)?;
         Ok((Self { network, config, weights, moments, device: device.clone() }, others))
+    }
+}
+
+impl TrainState {
+    /// One step on synthetic pairs of side [`NetworkConfig::size_px`] with [`sequence_loss`].
+    ///
+    /// # Errors
+    /// The batch has wrong lengths or values, or loss or gradient are not finite: the weights then stay as they were.
+    pub fn train_step(&mut self, batch: &FlowBatch<'_>) -> Result<StepStats> {
+        let device = self.device.clone().autodiff();
+        let data = batch.to_device(self.network.size_px, &device)?;
+        let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
+        let mut epe = f32::NAN;
+        let mut stats = self.step_with(|raft| {
+            let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
+            let last = values(flows[iterations - 1].clone());
+            epe = end_point_error(&last, &values(data.flow.clone()), &values(data.mask.clone()), batch.n);
+            sequence_loss(&flows, &data, gamma)
+        })?;
+        stats.epe = epe;
+        Ok(stats)
+    }
+
+    /// One step on `flow_weight` times [`sequence_loss`] plus a loss that the caller computes from the last flows
+    /// (n, 2, S, S), with its gradient there. `loss` of the returned is the sum of both.
+    ///
+    /// # Errors
+    /// As [`Self::train_step`].
+    ///
+    /// # Panics
+    /// When the gradient has another length than the flows.
+    pub fn train_step_with(
+        &mut self,
+        batch: &FlowBatch<'_>,
+        flow_weight: f32,
+        extra: impl FnOnce(&[f32]) -> ExtraLoss,
+    ) -> Result<StepStats> {
+        let device = self.device.clone().autodiff();
+        let data = batch.to_device(self.network.size_px, &device)?;
+        let (iterations, gamma, size_px) = (self.network.iterations_train, self.config.gamma, self.network.size_px);
+        let (mut epe, mut total) = (f32::NAN, f32::NAN);
+        let mut stats = self.step_with(|raft| {
+            let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
+            let last = flows[iterations - 1].clone();
+            let flow_px = values(last.clone());
+            epe = end_point_error(&flow_px, &values(data.flow.clone()), &values(data.mask.clone()), batch.n);
+            let flow_loss = sequence_loss(&flows, &data, gamma) * flow_weight;
+            let ExtraLoss { value, gradient } = extra(&flow_px);
+            assert_eq!(gradient.len(), flow_px.len(), "one gradient for each flow value");
+            total = values(flow_loss.clone())[0] + value;
+            // Linear in the flow: its gradient is the extra loss's.
+            let slope = Tensor::from_data(TensorData::new(gradient, [batch.n, 2, size_px, size_px]), &device);
+            flow_loss + (last * slope).sum()
+        })?;
+        (stats.epe, stats.loss) = (epe, total);
+        Ok(stats)
     }
 }
 

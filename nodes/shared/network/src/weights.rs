@@ -1,8 +1,7 @@
 //! Weights as named plain tensors, in safetensors files with the authors' names.
 
-use crate::config::NetworkConfig;
 use crate::error::{NetworkError, Result, io_error};
-use crate::raft::{Init, TensorSpec};
+use crate::model::{Init, Model, TensorSpec};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -27,12 +26,15 @@ pub struct NamedTensor {
 pub struct WeightsInfo {
     /// Name of the network.
     pub network: String,
-    /// [`NetworkConfig::hash`] of the configuration they were trained with.
+    /// [`Model::hash`] of the configuration they were trained with.
     pub config_hash: String,
     /// Optimiser steps taken.
     pub step: u64,
     /// Objects they were trained for, by name; empty for general weights.
     pub objects: Vec<String>,
+    /// The same by id, where the network tells them apart: in the order of its outputs.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub object_ids: Vec<u32>,
     /// Licence or origin, if other than this project's.
     pub origin: String,
 }
@@ -47,13 +49,14 @@ pub struct Weights {
 
 impl Weights {
     /// Weights to train from scratch, as the authors start: the same seed gives the same bits.
-    pub fn random(config: &NetworkConfig, seed: u64) -> Self {
+    pub fn random(config: &impl Model, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let tensors = config.arch.layout().into_iter().map(|spec| {
+        let tensors = config.layout().into_iter().map(|spec| {
             let data = initial_values(&spec, &mut rng);
             NamedTensor { name: spec.name, shape: spec.shape, data }
         });
-        let info = WeightsInfo { network: config.name.clone(), config_hash: config.hash(), ..WeightsInfo::default() };
+        let info =
+            WeightsInfo { network: config.name().to_owned(), config_hash: config.hash(), ..WeightsInfo::default() };
         Self { info, tensors: tensors.collect() }
     }
 
@@ -62,7 +65,7 @@ impl Weights {
     /// # Errors
     /// The file is unreadable or damaged, or a tensor is missing, has another shape or is not finite: the message names
     /// the first one in the network's order.
-    pub fn load(path: &Path, config: &NetworkConfig) -> Result<Self> {
+    pub fn load(path: &Path, config: &impl Model) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(io_error(path))?;
         let (info, tensors) = parse(&bytes, path)?;
         Self::from_parts(info, tensors, config, &path.display().to_string())
@@ -81,17 +84,17 @@ impl Weights {
     pub(crate) fn from_parts(
         info: WeightsInfo,
         mut tensors: BTreeMap<String, NamedTensor>,
-        config: &NetworkConfig,
+        config: &impl Model,
         origin: &str,
     ) -> Result<Self> {
         let mismatch = |tensor: &str, problem: String| NetworkError::WeightsMismatch {
             origin: origin.into(),
-            network: config.name.clone(),
+            network: config.name().to_owned(),
             tensor: tensor.into(),
             problem,
         };
         let mut ordered = Vec::new();
-        for spec in config.arch.layout() {
+        for spec in config.layout() {
             let found = tensors.remove(&spec.name);
             ordered.push(check_tensor(found, &spec).map_err(|problem| mismatch(&spec.name, problem))?);
         }

@@ -13,7 +13,8 @@ mod tests;
 
 use crate::config::{Architecture, NetworkConfig, check_size};
 use crate::error::{NetworkError, Result};
-use crate::raft::{BATCH_NORM_EPSILON, Raft};
+use crate::model::BATCH_NORM_EPSILON;
+use crate::raft::Raft;
 use crate::weights::{NamedTensor, Weights};
 use builder::{Attr, Batch, Builder};
 

@@ -8,7 +8,7 @@ const WINOGRAD_FROM: usize = 32;
 
 /// A convolution padded by half its kernel, as all of RAFT's are.
 #[derive(Debug)]
-pub(super) enum Conv {
+pub(crate) enum Conv {
     /// Any kernel and stride.
     General { weight: Tensor<4>, bias: Tensor<1>, stride: usize },
     /// 3x3 of stride 1.
@@ -17,7 +17,7 @@ pub(super) enum Conv {
 
 impl Conv {
     /// From weights (O, C, kh, kw) and bias (O).
-    pub(super) fn new((weight, bias): (Tensor<4>, Tensor<1>), stride: usize) -> Self {
+    pub(crate) fn new((weight, bias): (Tensor<4>, Tensor<1>), stride: usize) -> Self {
         let [_, c, kh, kw] = weight.dims();
         if [kh, kw] == [3, 3] && stride == 1 && c >= WINOGRAD_FROM {
             return Self::Same3x3(Prepared3x3::new(weight, bias));
@@ -26,7 +26,7 @@ impl Conv {
     }
 
     /// x (N, C, H, W) to (N, O, H / stride, W / stride).
-    pub(super) fn forward(&self, x: Tensor<4>, relu: bool) -> Tensor<4> {
+    pub(crate) fn forward(&self, x: Tensor<4>, relu: bool) -> Tensor<4> {
         match self {
             Self::Same3x3(prepared) => ops::conv3x3(x, prepared, relu),
             Self::General { weight, bias, stride } => {

@@ -1,14 +1,14 @@
 //! Feature and context encoder: image to features at 1/8.
 
-use super::Source;
 use super::conv::Conv;
 use crate::config::Architecture;
+use crate::model::Source;
 use crate::ops;
 use burn::tensor::Tensor;
 
 /// Normalisation inside an encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Norm {
+pub(crate) enum Norm {
     /// Instance norm after each convolution.
     Instance,
     /// None, or batch norm with stored statistics folded into the convolutions.
@@ -26,13 +26,13 @@ pub(super) struct Encoder {
 
 /// A residual block: convolutions with ReLU, plus the input (shrunk where the block shrinks), then ReLU.
 #[derive(Debug)]
-struct Block {
+pub(crate) struct Block {
     convs: Vec<Conv>,
     shortcut: Option<Conv>,
 }
 
 /// Reads convolution `name`, with the batch norm `norm` folded into it if the network has one there.
-fn normed_conv(source: &Source<'_>, name: &str, norm: &str, stride: usize) -> Conv {
+pub(crate) fn normed_conv(source: &Source<'_>, name: &str, norm: &str, stride: usize) -> Conv {
     let (weight, bias) = source.conv(name);
     let Some([scale, shift]) = source.batch_norm(norm) else {
         return Conv::new((weight, bias), stride);
@@ -41,7 +41,7 @@ fn normed_conv(source: &Source<'_>, name: &str, norm: &str, stride: usize) -> Co
     Conv::new((weight * scale.clone().reshape([o, 1, 1, 1]), bias * scale + shift), stride)
 }
 
-fn forward_normed(conv: &Conv, x: Tensor<4>, norm: Norm, relu: bool) -> Tensor<4> {
+pub(crate) fn forward_normed(conv: &Conv, x: Tensor<4>, norm: Norm, relu: bool) -> Tensor<4> {
     match norm {
         Norm::Instance => ops::instance_norm(conv.forward(x, false), relu),
         Norm::None => conv.forward(x, relu),
@@ -49,7 +49,7 @@ fn forward_normed(conv: &Conv, x: Tensor<4>, norm: Norm, relu: bool) -> Tensor<4
 }
 
 impl Block {
-    fn new(source: &Source<'_>, name: &str, arch: Architecture, shrinks: bool) -> Self {
+    pub(crate) fn new(source: &Source<'_>, name: &str, arch: Architecture, shrinks: bool) -> Self {
         let stride = if shrinks { 2 } else { 1 };
         let strides: &[usize] = match arch {
             Architecture::Basic => &[stride, 1],
@@ -63,7 +63,7 @@ impl Block {
         Self { convs: convs.collect(), shortcut: shrinks.then(shortcut) }
     }
 
-    fn forward(&self, x: Tensor<4>, norm: Norm) -> Tensor<4> {
+    pub(crate) fn forward(&self, x: Tensor<4>, norm: Norm) -> Tensor<4> {
         let y = self.convs.iter().fold(x.clone(), |y, conv| forward_normed(conv, y, norm, true));
         let x = match &self.shortcut {
             Some(conv) => forward_normed(conv, x, norm, false),

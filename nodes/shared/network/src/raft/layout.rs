@@ -1,25 +1,7 @@
 //! Names and shapes of the weights, as in the authors' code (princeton-vl/RAFT), so that their files load.
 
 use crate::config::Architecture;
-
-/// How a tensor starts when a network is trained from scratch.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Init {
-    /// Normal with standard deviation sqrt(2 / fan out): encoder weights.
-    KaimingNormal,
-    /// Uniform in +-1 / sqrt(fan in), the given number: PyTorch's default for weights and biases.
-    Uniform(usize),
-    /// A constant.
-    Constant(f32),
-}
-
-/// One tensor of a network.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct TensorSpec {
-    pub(crate) name: String,
-    pub(crate) shape: Vec<usize>,
-    pub(crate) init: Init,
-}
+use crate::model::{Init, TensorSpec};
 
 /// Widths that differ between the two architectures.
 #[derive(Debug, Clone, Copy)]
@@ -56,7 +38,7 @@ impl Architecture {
     /// All tensors in a fixed order.
     pub(crate) fn layout(self) -> Vec<TensorSpec> {
         let widths = self.widths();
-        let mut list = List(Vec::new());
+        let mut list = List::default();
         list.encoder("fnet", self, widths.features, false);
         list.encoder("cnet", self, widths.hidden + widths.context, self == Self::Basic);
         match self {
@@ -67,14 +49,17 @@ impl Architecture {
     }
 }
 
-struct List(Vec<TensorSpec>);
+/// A layout in the making.
+#[derive(Default)]
+pub(crate) struct List(pub(crate) Vec<TensorSpec>);
 
 impl List {
-    fn push(&mut self, name: String, shape: &[usize], init: Init) {
+    pub(crate) fn push(&mut self, name: String, shape: &[usize], init: Init) {
         self.0.push(TensorSpec { name, shape: shape.to_vec(), init });
     }
 
-    fn conv(&mut self, name: &str, o: usize, c: usize, [kh, kw]: [usize; 2], weight: Option<Init>) {
+    /// Convolution of `o` filters on `c` channels; without `weight` it starts as PyTorch's do.
+    pub(crate) fn conv(&mut self, name: &str, o: usize, c: usize, [kh, kw]: [usize; 2], weight: Option<Init>) {
         let fan_in = Init::Uniform(c * kh * kw);
         self.push(format!("{name}.weight"), &[o, c, kh, kw], weight.unwrap_or(fan_in));
         self.push(format!("{name}.bias"), &[o], fan_in);
@@ -88,6 +73,12 @@ impl List {
     }
 
     fn encoder(&mut self, name: &str, arch: Architecture, out: usize, batch_norm: bool) {
+        self.trunk(name, arch, batch_norm);
+        self.conv(&format!("{name}.conv2"), out, arch.widths().stages[3], [1, 1], Some(Init::KaimingNormal));
+    }
+
+    /// An encoder without its last convolution: image to 1/8.
+    pub(crate) fn trunk(&mut self, name: &str, arch: Architecture, batch_norm: bool) {
         let stages = arch.widths().stages;
         let init = Some(Init::KaimingNormal);
         self.conv(&format!("{name}.conv1"), stages[0], 3, [7, 7], init);
@@ -101,10 +92,17 @@ impl List {
                 self.block(&format!("{name}.layer{stage}.{block}"), arch, [c, stages[stage]], shrinks, batch_norm);
             }
         }
-        self.conv(&format!("{name}.conv2"), out, stages[3], [1, 1], init);
     }
 
-    fn block(&mut self, name: &str, arch: Architecture, [c, o]: [usize; 2], shrinks: bool, batch_norm: bool) {
+    /// A residual block.
+    pub(crate) fn block(
+        &mut self,
+        name: &str,
+        arch: Architecture,
+        [c, o]: [usize; 2],
+        shrinks: bool,
+        batch_norm: bool,
+    ) {
         let init = Some(Init::KaimingNormal);
         let convs = match arch {
             Architecture::Basic => vec![(o, c, 3), (o, o, 3)],

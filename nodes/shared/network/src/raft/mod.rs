@@ -11,16 +11,18 @@ mod parity;
 mod update;
 mod upsample;
 
-pub(crate) use layout::{Init, LEVELS, TensorSpec};
+pub(crate) use conv::Conv;
+pub(crate) use encoder::{Block, Norm, forward_normed, normed_conv};
+pub(crate) use layout::{LEVELS, List};
 
 use crate::config::{Architecture, NetworkConfig, check_size};
 use crate::error::{NetworkError, Result};
+use crate::model::{Model, Parameter, Source};
 use crate::ops;
-use crate::weights::{NamedTensor, Weights};
+use crate::weights::Weights;
 use burn::tensor::{Device, Tensor, TensorData, activation};
 use correlation::Pyramid;
 use encoder::Encoder;
-use std::collections::HashMap;
 use update::UpdateBlock;
 
 /// RAFT with its weights on a device. On a device with autodiff every trained tensor requires a gradient.
@@ -33,76 +35,6 @@ pub struct Raft {
     parameters: Vec<Parameter>,
 }
 
-/// A trained tensor as the network uses it.
-#[derive(Debug, Clone)]
-enum Parameter {
-    Conv(String, Tensor<4>),
-    Vector(String, Tensor<1>),
-}
-
-/// Gives the parts of the network their tensors by name.
-pub(crate) struct Source<'a> {
-    arch: Architecture,
-    tensors: HashMap<&'a str, &'a NamedTensor>,
-    parameters: std::cell::RefCell<Vec<Parameter>>,
-    device: &'a Device,
-}
-
-/// Added to stored variances, as PyTorch does.
-pub(crate) const BATCH_NORM_EPSILON: f32 = 1e-5;
-
-impl<'a> Source<'a> {
-    fn new(weights: &'a Weights, config: &NetworkConfig, device: &'a Device) -> Result<Self> {
-        let tensors: HashMap<_, _> = weights.tensors().iter().map(|t| (t.name.as_str(), t)).collect();
-        for spec in config.arch.layout() {
-            if tensors.get(spec.name.as_str()).is_none_or(|t| t.shape != spec.shape) {
-                let found =
-                    tensors.get(spec.name.as_str()).map_or("is missing".into(), |t| format!("has {:?}", t.shape));
-                return Err(NetworkError::WeightsMismatch {
-                    origin: format!("weights of `{}`", weights.info.network),
-                    network: config.name.clone(),
-                    tensor: spec.name,
-                    problem: format!("{found}, the network needs shape {:?}", spec.shape),
-                });
-            }
-        }
-        Ok(Self { arch: config.arch, tensors, parameters: Default::default(), device })
-    }
-
-    fn tensor<const D: usize>(&self, name: &str) -> Tensor<D> {
-        let tensor = self.tensors[name];
-        Tensor::from_data(TensorData::new(tensor.data.clone(), tensor.shape.clone()), self.device)
-    }
-
-    fn trained<const D: usize>(&self, name: &str) -> Tensor<D> {
-        let tensor = self.tensor(name);
-        if self.device.is_autodiff() { tensor.require_grad() } else { tensor }
-    }
-
-    fn vector(&self, name: String) -> Tensor<1> {
-        let tensor = self.trained(&name);
-        self.parameters.borrow_mut().push(Parameter::Vector(name, tensor.clone()));
-        tensor
-    }
-
-    /// Weight and bias of convolution `name`.
-    pub(crate) fn conv(&self, name: &str) -> (Tensor<4>, Tensor<1>) {
-        let weight_name = format!("{name}.weight");
-        let weight = self.trained(&weight_name);
-        self.parameters.borrow_mut().push(Parameter::Conv(weight_name, weight.clone()));
-        (weight, self.vector(format!("{name}.bias")))
-    }
-
-    /// Scale and shift of batch norm `name` with its stored statistics; `None` if the network has no such norm.
-    pub(crate) fn batch_norm(&self, name: &str) -> Option<[Tensor<1>; 2]> {
-        self.tensors.get(format!("{name}.running_var").as_str())?;
-        let [mean, var] = ["running_mean", "running_var"].map(|part| self.tensor::<1>(&format!("{name}.{part}")));
-        let scale = self.vector(format!("{name}.weight")) / (var + BATCH_NORM_EPSILON).sqrt();
-        let shift = self.vector(format!("{name}.bias")) - mean * scale.clone();
-        Some([scale, shift])
-    }
-}
-
 impl Raft {
     /// Builds the network; the device decides backend and autodiff.
     ///
@@ -110,11 +42,11 @@ impl Raft {
     /// The weights belong to another architecture.
     pub fn new(weights: &Weights, config: &NetworkConfig, device: &Device) -> Result<Self> {
         let source = Source::new(weights, config, device)?;
-        let arch = source.arch;
+        let arch = config.arch;
         let feature_encoder = Encoder::new(&source, "fnet", arch, true);
         let context_encoder = Encoder::new(&source, "cnet", arch, false);
         let update = UpdateBlock::new(&source, arch);
-        let parameters = source.parameters.into_inner();
+        let parameters = source.into_parameters();
         Ok(Self { arch, feature_encoder, context_encoder, update, parameters })
     }
 
@@ -206,20 +138,32 @@ impl Raft {
             None => ops::upsample_bilinear(flow.clone()),
         }
     }
+}
 
-    /// Gradients of all trained tensors by name, row-major; zeros for tensors that the loss does not touch.
-    pub(crate) fn gradients(&self, grads: &burn::tensor::Gradients) -> HashMap<String, Vec<f32>> {
-        let values = |data: TensorData| data.try_into_vec::<f32>().expect("the network works in f32");
-        let entries = self.parameters.iter().map(|parameter| match parameter {
-            Parameter::Conv(name, t) => {
-                let grad = t.grad(grads).map(|g| values(g.into_data()));
-                (name.clone(), grad.unwrap_or_else(|| vec![0.0; t.dims().iter().product()]))
-            }
-            Parameter::Vector(name, t) => {
-                let grad = t.grad(grads).map(|g| values(g.into_data()));
-                (name.clone(), grad.unwrap_or_else(|| vec![0.0; t.dims()[0]]))
-            }
-        });
-        entries.collect()
+impl Model for NetworkConfig {
+    type Network = Raft;
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn hash(&self) -> String {
+        self.hash()
+    }
+
+    fn layout(&self) -> Vec<crate::model::TensorSpec> {
+        self.arch.layout()
+    }
+
+    fn check(&self) -> Result<()> {
+        self.check()
+    }
+
+    fn build(&self, weights: &Weights, device: &Device) -> Result<Raft> {
+        Raft::new(weights, self, device)
+    }
+
+    fn parameters(network: &Raft) -> &[Parameter] {
+        &network.parameters
     }
 }

@@ -2,6 +2,7 @@
 //! intermediate tensors of RAFT-small as its authors trained it.
 
 use super::*;
+use crate::weights::NamedTensor;
 use crate::weights::parse;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

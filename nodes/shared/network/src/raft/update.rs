@@ -3,10 +3,10 @@
 //! The context never changes between iterations, so its share of the GRU's convolutions is computed once per image
 //! pair. This is the authors' arithmetic in another order of summation.
 
-use super::Source;
 use super::conv::Conv;
 use super::layout::Widths;
 use crate::config::Architecture;
+use crate::model::Source;
 use crate::ops;
 use burn::tensor::Tensor;
 

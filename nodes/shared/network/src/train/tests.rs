@@ -1,4 +1,5 @@
 use super::*;
+use crate::raft::Raft;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -107,7 +108,7 @@ fn gradient_of_the_whole_loss_equals_differences() {
         (sequence_loss(&flows, &batch, 0.8), raft)
     };
     let (value, raft) = loss(&weights);
-    let grads = raft.gradients(&value.backward());
+    let grads = gradients::<NetworkConfig>(&raft, &value.backward());
     for seed in 0..3 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut slope = 0.0_f64;
