@@ -29,7 +29,7 @@ enum Command {
     /// One node of a run, as the supervisor starts it.
     #[command(hide = true)]
     Node(commands::run::NodeArgs),
-    /// Trains a flow network on synthetic renderings of an object set.
+    /// Trains a network on synthetic renderings of an object set.
     Pretrain(commands::pretrain::Args),
     /// Trains on recordings without annotations, and keeps the result if it is better.
     Adapt(commands::adapt::Args),
@@ -83,7 +83,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Check(args) => commands::run::check(&args),
         Command::Schema => commands::run::schema(),
         Command::Node(args) => commands::run::node(&args),
-        Command::Pretrain(args) => commands::pretrain::run(args),
+        Command::Pretrain(args) => commands::pretrain::run(&args),
         Command::Adapt(args) => commands::adapt::run(&args),
         Command::Export(args) => commands::export::run(&args),
         Command::Eval(args) => commands::eval::run(&args),

@@ -3,6 +3,7 @@
 
 pub mod adapt;
 mod error;
+pub mod initializer;
 pub mod pretrain;
 mod preview;
 pub mod synth;

@@ -1,5 +1,6 @@
 use anyhow::{Context as _, Result};
-use pseudoflow_imaging::{ObjectSet, save_png};
+use pseudoflow_imaging::{ObjectSet, RgbImage, save_png};
+use pseudoflow_trainer::initializer::{InitializerTraining, scene_sheet, train_initializer};
 use pseudoflow_trainer::pretrain::{PretrainConfig, TerminalProgress, WarmStart, pretrain};
 use pseudoflow_trainer::preview_sheet;
 use pseudoflow_trainer::synth::SampleGenerator;
@@ -7,12 +8,24 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
+/// Which network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Stage {
+    /// The one that finds objects in an image and gives them a first pose.
+    Initializer,
+    /// The one that refines poses.
+    Flow,
+}
+
 #[derive(clap::Args)]
 pub(crate) struct Args {
+    /// Which network to train.
+    #[arg(long, value_enum, default_value = "flow")]
+    stage: Stage,
     /// The object set: a BOP `models/` folder. One network is trained for all its objects.
     #[arg(long)]
     objects: PathBuf,
-    /// nano, small, paper, or a YAML file as in config/networks.
+    /// nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
     #[arg(long, default_value = "nano")]
     network: String,
     /// The weights to write (.safetensors). Log, plot and checkpoint stand beside them.
@@ -21,7 +34,7 @@ pub(crate) struct Args {
     /// Optimiser steps.
     #[arg(long)]
     steps: Option<u64>,
-    /// Pairs in a step.
+    /// Pairs (initializer: images) in a step.
     #[arg(long)]
     batch: Option<usize>,
     /// Peak of the one-cycle learning rate.
@@ -36,35 +49,55 @@ pub(crate) struct Args {
     /// Goes on from the checkpoint.
     #[arg(long)]
     resume: bool,
-    /// Only writes a sheet of samples (reference, real-like, flow, warped) to this PNG.
+    /// Threads that render beside the training.
+    #[arg(long)]
+    data_threads: Option<usize>,
+    /// Only writes a sheet of samples to this PNG (flow: reference, real-like, flow, warped).
     #[arg(long, value_name = "FILE.png")]
     preview: Option<PathBuf>,
 }
 
 impl Args {
-    fn config(self) -> PretrainConfig {
-        let mut config = PretrainConfig::new(self.objects, &self.network, self.out);
+    fn warm_start(&self) -> WarmStart {
+        match &self.warm_start {
+            None => WarmStart::Auto,
+            Some(word) if word.as_os_str() == "random" => WarmStart::Random,
+            Some(file) => WarmStart::File(file.clone()),
+        }
+    }
+
+    fn flow(&self) -> PretrainConfig {
+        let mut config = PretrainConfig::new(self.objects.clone(), &self.network, self.out.clone());
         config.steps = self.steps.unwrap_or(config.steps);
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
-        config.seed = self.seed;
-        config.resume = self.resume;
-        config.warm_start = match self.warm_start {
-            None => WarmStart::Auto,
-            Some(word) if word.as_os_str() == "random" => WarmStart::Random,
-            Some(file) => WarmStart::File(file),
-        };
+        config.data_threads = self.data_threads.unwrap_or(config.data_threads);
+        (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
+        config
+    }
+
+    fn initializer(&self) -> InitializerTraining {
+        let mut config = InitializerTraining::new(self.objects.clone(), &self.network, self.out.clone());
+        config.steps = self.steps.unwrap_or(config.steps);
+        config.batch = self.batch.unwrap_or(config.batch);
+        config.max_lr = self.max_lr.unwrap_or(config.max_lr);
+        config.data_threads = self.data_threads.unwrap_or(config.data_threads);
+        (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
         config
     }
 }
 
-pub(crate) fn run(mut args: Args) -> Result<ExitCode> {
-    let sheet = args.preview.take();
-    let config = args.config();
-    if let Some(sheet) = sheet {
-        return preview(&config, &sheet);
+pub(crate) fn run(args: &Args) -> Result<ExitCode> {
+    match (args.stage, &args.preview) {
+        (Stage::Flow, Some(sheet)) => preview(&args.flow(), sheet),
+        (Stage::Flow, None) => flow(&args.flow()),
+        (Stage::Initializer, Some(sheet)) => written(&scene_sheet(&args.initializer(), 12)?, sheet),
+        (Stage::Initializer, None) => initializer(&args.initializer()),
     }
-    let summary = pretrain(&config, &mut TerminalProgress::new()?)?;
+}
+
+fn flow(config: &PretrainConfig) -> Result<ExitCode> {
+    let summary = pretrain(config, &mut TerminalProgress::new()?)?;
     println!(
         "{} of {} steps in {:.0} s ({:.1} pairs/s trained, {:.1} pairs/s made by a thread): loss {:.3} px, EPE {:.3} px",
         summary.step,
@@ -79,12 +112,26 @@ pub(crate) fn run(mut args: Args) -> Result<ExitCode> {
     Ok(if summary.finished { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
+fn initializer(config: &InitializerTraining) -> Result<ExitCode> {
+    let summary = train_initializer(config, &mut TerminalProgress::new()?)?;
+    println!(
+        "{} of {} steps in {:.0} s ({:.0} s of rendering beside it): loss {:.3}, corners off by {:.3} diameters",
+        summary.step, config.steps, summary.seconds, summary.rendering_s, summary.loss, summary.space_diameters
+    );
+    println!("{}   plot: {}", summary.written.display(), summary.plot.display());
+    Ok(if summary.finished { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
 fn preview(config: &PretrainConfig, sheet: &Path) -> Result<ExitCode> {
     config.check()?;
     let size_px = config.resolve_network()?.size_px as u32;
     let objects = Arc::new(ObjectSet::load(&config.objects)?);
     let samples = SampleGenerator::new(objects, config.synth.clone(), config.seed)?.batch(0, 8, size_px)?;
-    save_png(&preview_sheet(&samples), sheet).with_context(|| format!("{}: cannot be written", sheet.display()))?;
+    written(&preview_sheet(&samples), sheet)
+}
+
+fn written(picture: &RgbImage, sheet: &Path) -> Result<ExitCode> {
+    save_png(picture, sheet).with_context(|| format!("{}: cannot be written", sheet.display()))?;
     println!("{}", sheet.display());
     Ok(ExitCode::SUCCESS)
 }

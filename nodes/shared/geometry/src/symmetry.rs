@@ -41,7 +41,25 @@ impl Symmetries {
         }
         discrete.iter().flat_map(|d| continuous.iter().map(move |c| c * d)).collect()
     }
+
+    /// Of all poses that look the same, the one whose camera lies most in a fixed direction of the object's frame. Equal
+    /// images so get equal poses, but for views on the border between two; turning the camera about its axis does not
+    /// change the choice.
+    #[must_use]
+    pub fn canonical(&self, camera_from_object: &Pose) -> Pose {
+        if self.is_trivial() {
+            return *camera_from_object;
+        }
+        // In general position to the axes of boxes and tins.
+        let towards = Vector3::new(0.41, 0.53, 0.74);
+        let score = |pose: &Pose| pose.inverse_transform_point(&Point3::origin()).coords.normalize().dot(&towards);
+        let equal = self.transforms(CANONICAL_STEP).into_iter().map(|s| camera_from_object * s);
+        equal.max_by(|a, b| score(a).total_cmp(&score(b))).unwrap_or(*camera_from_object)
+    }
 }
+
+/// Step of a turn in [`Symmetries::canonical`], diameters.
+const CANONICAL_STEP: f64 = 0.01;
 
 /// The rotation by `fraction` of a full turn around a symmetry axis.
 fn turn(symmetry: &ContinuousSymmetry, fraction: f64) -> Pose {
@@ -63,6 +81,21 @@ mod tests {
         assert_eq!(transforms.len(), 315);
         for t in &transforms {
             assert!((t * Point3::new(0.1, 0.0, 0.3) - Point3::new(0.1, 0.0, 0.3)).norm() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn equal_views_have_one_canonical_pose() {
+        let half_turn = Pose::rotation(Vector3::z() * std::f64::consts::PI);
+        let symmetries = Symmetries { discrete: vec![half_turn], continuous: vec![] };
+        for i in 0..20 {
+            let turn = UnitQuaternion::from_euler_angles(0.3 * f64::from(i), 1.1 * f64::from(i), 0.2);
+            let pose = Pose::from_parts(Translation3::new(0.1, -0.2, 0.9), turn);
+            let (one, other) = (symmetries.canonical(&pose), symmetries.canonical(&(pose * half_turn)));
+            assert!((one.to_homogeneous() - other.to_homogeneous()).norm() < 1e-9, "{i}");
+            let roll = Pose::rotation(Vector3::z() * 0.7);
+            let rolled = symmetries.canonical(&(roll * pose));
+            assert!((rolled.to_homogeneous() - (roll * one).to_homogeneous()).norm() < 1e-9, "{i}");
         }
     }
 

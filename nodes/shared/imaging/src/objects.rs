@@ -58,6 +58,15 @@ struct ContinuousInfo {
 
 const MILLIMETRE_M: f64 = 1e-3;
 
+impl Object {
+    /// The corners of the bounding box, metres: corner i has the high end of axis k where bit k of i is set.
+    #[must_use]
+    pub fn box_corners_m(&self) -> [Point3<f64>; 8] {
+        let end = |i: usize, k: usize| self.low_m[k] + if i >> k & 1 == 1 { self.extents_m[k] } else { 0.0 };
+        std::array::from_fn(|i| Point3::new(end(i, 0), end(i, 1), end(i, 2)))
+    }
+}
+
 impl ObjectSet {
     /// Reads a BOP `models/` folder: `models_info.json`, `obj_XXXXXX.ply` in millimetres, their textures, and
     /// `names.json` (id to name) if there.

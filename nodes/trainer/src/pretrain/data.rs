@@ -50,7 +50,7 @@ impl Batch {
 }
 
 /// Appends an image as three planes in [-1, 1].
-fn push_planes(planes: &mut Vec<f32>, image: &RgbImage) {
+pub(crate) fn push_planes(planes: &mut Vec<f32>, image: &RgbImage) {
     for channel in 0..3 {
         planes.extend(image.as_raw().iter().skip(channel).step_by(3).map(|v| f32::from(*v) / 127.5 - 1.0));
     }

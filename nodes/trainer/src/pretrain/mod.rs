@@ -17,8 +17,9 @@ pub use progress::{Progress, Silent, TerminalProgress};
 use crate::TrainerError;
 use crate::synth::SampleGenerator;
 use data::Prefetch;
-use log::RunLog;
+pub(crate) use data::push_planes;
 pub(crate) use log::write_atomically;
+pub(crate) use log::{Curve, Row, RunLog};
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_network::{Device, NetworkConfig, TrainConfig, TrainState, Weights};
 use serde::{Deserialize, Serialize};
@@ -41,6 +42,39 @@ pub struct StepReport {
     pub grad_norm: f64,
     /// Its learning rate.
     pub learning_rate: f64,
+}
+
+impl Row for StepReport {
+    const HEADER: &'static str = "step,size_px,loss_px,epe_px,grad_norm,learning_rate";
+    const CURVES: &'static [Curve<Self>] =
+        &[("loss, px", "#b03020", |r| r.loss_px), ("end point error, px", "#2050a0", |r| r.epe_px)];
+
+    fn step(&self) -> u64 {
+        self.step
+    }
+
+    fn line(&self) -> String {
+        let Self { step, size_px, loss_px, epe_px, grad_norm, learning_rate } = self;
+        format!("{step},{size_px},{loss_px},{epe_px},{grad_norm},{learning_rate}")
+    }
+
+    fn parse(line: &str) -> Option<Self> {
+        let mut parts = line.split(',');
+        let report = Self {
+            step: parts.next()?.parse().ok()?,
+            size_px: parts.next()?.parse().ok()?,
+            loss_px: parts.next()?.parse().ok()?,
+            epe_px: parts.next()?.parse().ok()?,
+            grad_norm: parts.next()?.parse().ok()?,
+            learning_rate: parts.next()?.parse().ok()?,
+        };
+        parts.next().is_none().then_some(report)
+    }
+}
+
+/// Mean loss and end point error over the last `count` steps, pixels.
+fn recent(log: &RunLog<StepReport>, count: usize) -> (f32, f32) {
+    (log.recent(count, |r| r.loss_px), log.recent(count, |r| r.epe_px))
 }
 
 /// What a run left behind.
@@ -86,10 +120,8 @@ pub fn pretrain(config: &PretrainConfig, progress: &mut dyn Progress) -> Result<
         let batch = prefetch.next(state.step() - first)?;
         pairs += batch.pairs();
         log.reports.push(step(&mut state, &batch, network.size_px)?);
-        if let Some(report) = log.reports.last() {
-            let (loss_px, epe_px) = log.recent(100);
-            progress.step(report, loss_px, epe_px);
-        }
+        let (loss_px, epe_px) = recent(&log, 100);
+        progress.step(state.step(), &format!("loss {loss_px:.3} px  EPE {epe_px:.3} px"));
         if state.step().is_multiple_of(config.checkpoint_every) {
             save_checkpoint(config, &state, &log)?;
         }
@@ -121,7 +153,7 @@ fn open(
     config: &PretrainConfig,
     network: &NetworkConfig,
     objects: &ObjectSet,
-) -> Result<(TrainState, RunLog), TrainerError> {
+) -> Result<(TrainState, RunLog<StepReport>), TrainerError> {
     let device = Device::flex();
     let (checkpoint, log_path) = (config.checkpoint_path(), config.out.with_extension("csv"));
     let description = describe(config);
@@ -156,7 +188,8 @@ fn describe(config: &PretrainConfig) -> String {
     serde_json::to_string_pretty(&fixed).unwrap_or_default()
 }
 
-fn check_same_run(path: &Path, description: &str) -> Result<(), TrainerError> {
+/// Refuses to resume with another configuration than the kept one.
+pub(crate) fn check_same_run(path: &Path, description: &str) -> Result<(), TrainerError> {
     let found = std::fs::read_to_string(path).map_err(TrainerError::io(path))?;
     let differs = found.lines().zip(description.lines()).find(|(a, b)| a != b);
     match differs {
@@ -178,7 +211,7 @@ impl PretrainConfig {
 }
 
 /// The log first: a checkpoint never lacks lines of its log.
-fn save_checkpoint(config: &PretrainConfig, state: &TrainState, log: &RunLog) -> Result<(), TrainerError> {
+fn save_checkpoint(config: &PretrainConfig, state: &TrainState, log: &RunLog<StepReport>) -> Result<(), TrainerError> {
     log.save()?;
     Ok(state.save(&config.checkpoint_path())?)
 }
@@ -186,7 +219,7 @@ fn save_checkpoint(config: &PretrainConfig, state: &TrainState, log: &RunLog) ->
 fn finish(
     config: &PretrainConfig,
     state: &TrainState,
-    log: &RunLog,
+    log: &RunLog<StepReport>,
     seconds: f64,
     trained_per_s: f64,
     made_per_s: f64,
@@ -197,7 +230,7 @@ fn finish(
     if finished {
         state.weights.save(&config.out)?;
     }
-    let (loss_px, epe_px) = log.recent(200);
+    let (loss_px, epe_px) = recent(log, 200);
     let written = if finished { config.out.clone() } else { config.checkpoint_path() };
     Ok(PretrainSummary {
         step: state.step(),

@@ -1,6 +1,5 @@
 //! What the person at the terminal sees.
 
-use super::StepReport;
 use crate::TrainerError;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::sync::Arc;
@@ -10,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub trait Progress {
     /// The run begins at `step` of `steps`.
     fn start(&mut self, step: u64, steps: u64);
-    /// A step was taken; `loss_px` and `epe_px` are means over the last steps.
-    fn step(&mut self, report: &StepReport, loss_px: f32, epe_px: f32);
+    /// Step `step` was taken; `news` says how it goes.
+    fn step(&mut self, step: u64, news: &str);
     /// Whether to write a checkpoint and stop.
     fn should_stop(&self) -> bool {
         false
@@ -24,7 +23,7 @@ pub struct Silent;
 
 impl Progress for Silent {
     fn start(&mut self, _: u64, _: u64) {}
-    fn step(&mut self, _: &StepReport, _: f32, _: f32) {}
+    fn step(&mut self, _: u64, _: &str) {}
 }
 
 /// A progress bar on standard error; SIGINT and SIGTERM stop the run after a checkpoint.
@@ -56,11 +55,11 @@ impl Progress for TerminalProgress {
         self.bar.reset_eta();
     }
 
-    fn step(&mut self, report: &StepReport, loss_px: f32, epe_px: f32) {
-        self.bar.set_message(format!("loss {loss_px:.3} px  EPE {epe_px:.3} px"));
-        self.bar.set_position(report.step);
-        if self.bar.is_hidden() && report.step.is_multiple_of(100) {
-            log::info!("step {}: loss {loss_px:.3} px, EPE {epe_px:.3} px", report.step);
+    fn step(&mut self, step: u64, news: &str) {
+        self.bar.set_message(news.to_owned());
+        self.bar.set_position(step);
+        if self.bar.is_hidden() && step.is_multiple_of(100) {
+            log::info!("step {step}: {news}");
         }
     }
 

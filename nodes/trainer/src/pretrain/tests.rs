@@ -19,8 +19,8 @@ struct StopAt(u64, u64);
 
 impl Progress for StopAt {
     fn start(&mut self, _: u64, _: u64) {}
-    fn step(&mut self, report: &StepReport, _: f32, _: f32) {
-        self.1 = report.step;
+    fn step(&mut self, step: u64, _: &str) {
+        self.1 = step;
     }
     fn should_stop(&self) -> bool {
         self.1 >= self.0

@@ -14,6 +14,7 @@ mod random;
 mod scene;
 mod sensor;
 mod things;
+mod whole;
 mod window;
 
 #[cfg(test)]
@@ -21,6 +22,7 @@ pub(crate) mod tests;
 
 pub use config::{JitterConfig, MAX_JITTER_DEG, SynthConfig};
 pub use label::SyntheticFlow;
+pub use whole::{SceneConfig, SceneGenerator, SceneInstance, SceneSample};
 
 use crate::TrainerError;
 use pose::Placement;

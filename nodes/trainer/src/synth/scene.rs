@@ -1,5 +1,9 @@
 //! A scene around the object: a table or nothing, a wall, other things behind and in front, and its picture.
 
+mod table;
+
+pub(super) use table::Placed;
+
 use super::SynthConfig;
 use super::light::{Lighting, Material, ShadowMap};
 use super::pattern::Pattern;
@@ -9,7 +13,7 @@ use super::sensor::LinearImage;
 use super::things::{draw_shape, finger, sheet};
 use super::window::Window;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
-use pseudoflow_geometry::Pose;
+use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::raster::{Background, Item, Rendering, Scene, Scratch, Shader, Surface, render_scene};
 use pseudoflow_imaging::{ImagingError, Mesh, Object, ObjectSet};
 use rand::Rng;
@@ -50,7 +54,7 @@ pub(super) struct Picture {
 
 /// Where things are placed: the object's surroundings in the image.
 struct Surroundings<'a> {
-    placement: &'a Placement,
+    intrinsics: &'a Intrinsics,
     centre: Point3<f64>,
     diameter_m: f64,
     up: Vector3<f64>,
@@ -166,12 +170,12 @@ impl<'a> Surroundings<'a> {
         let lowest = object.hull_m.iter().map(|p| up.dot(&(truth * p).coords)).fold(f64::MAX, f64::min);
         let gap_m = if rng.chance(0.7) { 0.0 } else { rng.uniform(0.0, 0.5) * object.diameter_m };
         let table_m = rng.chance(0.75).then_some(lowest - gap_m);
-        Self { placement, centre: truth * centre_m(object), diameter_m: object.diameter_m, up, table_m }
+        Self { intrinsics: &placement.intrinsics, centre: truth * centre_m(object), diameter_m: object.diameter_m, up, table_m }
     }
 
     /// A point `offset` projected diameters beside the object's centre, at another depth.
     fn beside(&self, rng: &mut impl Rng, offset: f64, z_m: f64) -> Point3<f64> {
-        let k = &self.placement.intrinsics;
+        let k = self.intrinsics;
         let angle = rng.uniform(0.0, std::f64::consts::TAU);
         let shift = offset * self.diameter_m / self.centre.z;
         let (x, y) =

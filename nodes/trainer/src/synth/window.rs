@@ -34,6 +34,11 @@ impl Window {
         Self { x0, y0, width, height, supersampling, intrinsics: *intrinsics }
     }
 
+    /// The whole image, with 2 x 2 rays a pixel.
+    pub(super) fn whole(intrinsics: &Intrinsics, [width, height]: [u32; 2]) -> Self {
+        Self { x0: 0, y0: 0, width, height, supersampling: 2, intrinsics: *intrinsics }
+    }
+
     /// Width and height of the rendering, sub-pixels.
     pub(super) fn rendered_px(&self) -> (u32, u32) {
         (self.width * self.supersampling, self.height * self.supersampling)

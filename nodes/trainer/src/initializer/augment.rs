@@ -1,0 +1,161 @@
+//! A rendered scene seen by other cameras at the same place: turned, zoomed, shifted, with other colours. All of it is
+//! exact, as a camera that only turns sees the same rays.
+
+use crate::synth::SceneSample;
+use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
+use pseudoflow_geometry::{Intrinsics, standard_normal};
+use pseudoflow_imaging::{BACKGROUND_GREY, Object, ObjectSet, RgbImage};
+use pseudoflow_network::{CORNERS, Grid, InstanceTruth, SceneTruth};
+use rand::Rng;
+
+/// One image of a batch, and what it shows.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Example {
+    /// The network's input.
+    pub(crate) image: RgbImage,
+    pub(crate) truth: SceneTruth,
+}
+
+/// The other camera.
+struct Turned {
+    from: Intrinsics,
+    to: Intrinsics,
+    /// Rotation, in `to`'s frame, of what `from` sees.
+    to_from: UnitQuaternion<f64>,
+    /// Rows of the input that show the image; below is grey.
+    rows: usize,
+}
+
+/// Linear factors and a gamma on each channel.
+struct Colours {
+    gain: [f32; 3],
+    gamma: f32,
+}
+
+/// The example for input images of `grid`.
+pub(crate) fn example(scene: &SceneSample, objects: &ObjectSet, grid: &Grid, rng: &mut impl Rng) -> Example {
+    let turned = Turned::draw(scene, grid, rng);
+    let colours = Colours::draw(rng);
+    let image = turned.image(&scene.image, grid, &colours);
+    let known = |id: u32| objects.iter().enumerate().find(|(_, object)| object.id == id);
+    let mut instances = Vec::new();
+    // Numbers of the instances that stay; 0 for those that cannot be labelled.
+    let mut number = vec![0_u8; scene.instances.len() + 1];
+    for (i, instance) in scene.instances.iter().enumerate() {
+        let Some((class, object)) = known(instance.object_id) else { continue };
+        let pose = object.symmetries.canonical(&instance.camera_from_object);
+        let corners = object.box_corners_m().map(|corner| turned.to_from * (pose * corner));
+        if let Some(truth) = turned.label(class, object, corners) {
+            instances.push(truth);
+            number[i + 1] = instances.len() as u8;
+        }
+    }
+    let owner = grid.cells.iter().map(|cell| number[usize::from(turned.owner(scene, cell.centre_px))]);
+    let intrinsics = [turned.to.fx, turned.to.fy, turned.to.cx, turned.to.cy].map(|v| v as f32);
+    Example { image, truth: SceneTruth { intrinsics, owner: owner.collect(), instances } }
+}
+
+fn uniform(rng: &mut impl Rng, low: f64, high: f64) -> f64 {
+    low + (high - low) * rng.random::<f64>()
+}
+
+impl Turned {
+    fn draw(scene: &SceneSample, grid: &Grid, rng: &mut impl Rng) -> Self {
+        let from = scene.intrinsics;
+        let [width, height] = grid.input_px.map(|v| v as f64);
+        let shown = f64::from(scene.image.height()).min(height);
+        // Most cameras have images of 4 : 3, many of 16 : 9.
+        let rows = if rng.random::<f64>() < 0.2 { (0.75 * shown).round() } else { shown };
+        let zoom = uniform(rng, 0.75_f64.ln(), 1.3_f64.ln()).exp();
+        let shift = [(); 2].map(|()| uniform(rng, -0.05, 0.05) * width);
+        let degrees = [2.0, 2.0, 12.0].map(|sigma: f64| sigma.to_radians() * standard_normal(rng));
+        let to = Intrinsics {
+            fx: zoom * from.fx,
+            fy: zoom * from.fy,
+            cx: (width - 1.0) / 2.0 + shift[0],
+            cy: (rows - 1.0) / 2.0 + shift[1],
+        };
+        Self { from, to, to_from: UnitQuaternion::from_scaled_axis(Vector3::from(degrees)), rows: rows as usize }
+    }
+
+    /// Where the scene's image shows what an input pixel shows.
+    fn source(&self, pixel: [f64; 2]) -> Option<Point2<f64>> {
+        let ray = self.to.unproject(&Point2::from(pixel), 1.0);
+        self.from.project(&Point3::from(self.to_from.inverse() * ray.coords))
+    }
+
+    fn owner(&self, scene: &SceneSample, centre_px: [f32; 2]) -> u8 {
+        let (width, height) = scene.image.dimensions();
+        let inside = centre_px[1] < self.rows as f32;
+        let at = inside.then(|| self.source(centre_px.map(f64::from))).flatten().map(|p| (p.x.round(), p.y.round()));
+        let within = |&(x, y): &(f64, f64)| x >= 0.0 && y >= 0.0 && x < f64::from(width) && y < f64::from(height);
+        at.filter(within).map_or(0, |(x, y)| scene.owner[y as usize * width as usize + x as usize])
+    }
+
+    /// The image, bilinear; what lies outside repeats the border.
+    fn image(&self, image: &RgbImage, grid: &Grid, colours: &Colours) -> RgbImage {
+        let table = colours.table();
+        let [width, height] = grid.input_px;
+        let mut pixels = vec![BACKGROUND_GREY; width * height * 3];
+        for (i, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate().take(width * self.rows) {
+            if let Some(at) = self.source([(i % width) as f64, (i / width) as f64]) {
+                let mixed = bilinear(image, at);
+                *pixel = std::array::from_fn(|k| table[k][usize::from(mixed[k])]);
+            }
+        }
+        RgbImage::from_raw(width as u32, height as u32, pixels).unwrap_or_default()
+    }
+
+    /// `None` when a corner is not well before the camera.
+    fn label(&self, class: usize, object: &Object, corners: [Point3<f64>; CORNERS]) -> Option<InstanceTruth> {
+        let near = 0.1 * object.diameter_m;
+        let projected: Vec<Point2<f64>> =
+            corners.iter().filter(|c| c.z > near).filter_map(|c| self.to.project(c)).collect();
+        if projected.len() < CORNERS {
+            return None;
+        }
+        let side = |k: usize| {
+            let along = projected.iter().map(|p| p[k]);
+            along.clone().fold(f64::MIN, f64::max) - along.fold(f64::MAX, f64::min)
+        };
+        Some(InstanceTruth {
+            class,
+            corners_m: corners.map(|c| [c.x as f32, c.y as f32, c.z as f32]),
+            diameter_m: object.diameter_m as f32,
+            side_px: side(0).max(side(1)) as f32,
+        })
+    }
+}
+
+fn bilinear(image: &RgbImage, at: Point2<f64>) -> [u8; 3] {
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let clamp = |v: f64, size: usize| v.clamp(0.0, (size - 1) as f64) as f32;
+    let (x, y) = (clamp(at.x, width), clamp(at.y, height));
+    let (x0, y0) = (x as usize, y as usize);
+    let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
+    let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+    let raw = image.as_raw();
+    let value = |x: usize, y: usize, k: usize| f32::from(raw[(y * width + x) * 3 + k]);
+    std::array::from_fn(|k| {
+        let upper = value(x0, y0, k) * (1.0 - fx) + value(x1, y0, k) * fx;
+        let lower = value(x0, y1, k) * (1.0 - fx) + value(x1, y1, k) * fx;
+        (upper * (1.0 - fy) + lower * fy + 0.5) as u8
+    })
+}
+
+impl Colours {
+    fn draw(rng: &mut impl Rng) -> Self {
+        let bright = uniform(rng, -0.35, 0.35).exp();
+        let gain = [(); 3].map(|()| (bright * uniform(rng, -0.12, 0.12).exp()) as f32);
+        Self { gain, gamma: uniform(rng, -0.25, 0.25).exp() as f32 }
+    }
+
+    fn table(&self) -> [[u8; 256]; 3] {
+        self.gain.map(|gain| {
+            std::array::from_fn(|v| {
+                let changed = gain * (v as f32 / 255.0).powf(self.gamma);
+                (changed.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+            })
+        })
+    }
+}

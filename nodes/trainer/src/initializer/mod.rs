@@ -1,0 +1,217 @@
+//! Training of the initializer's network on synthetic scenes (method.md, pipeline step 1).
+//!
+//! A run is a function of its [`InitializerTraining`]: neither threads nor interruptions change the weights.
+
+mod augment;
+mod config;
+mod data;
+mod preview;
+#[cfg(test)]
+mod tests;
+
+pub use config::InitializerTraining;
+pub use preview::scene_sheet;
+
+use crate::TrainerError;
+use crate::pretrain::{Curve, Progress, Row, RunLog, SHIPPED_WEIGHTS, WarmStart, check_same_run, write_atomically};
+use crate::synth::SceneGenerator;
+use data::{Prefetch, Source};
+use pseudoflow_imaging::ObjectSet;
+use pseudoflow_network::{DetectorConfig, Device, Grid, LossWeights, NetworkConfig, TrainConfig, TrainState, Weights};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// One step of a run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InitializerStep {
+    /// Steps taken, this one included.
+    pub step: u64,
+    /// The whole loss.
+    pub loss: f32,
+    /// The classes' part.
+    pub class: f32,
+    /// Mean distance of the corners from their rays, diameters.
+    pub space_diameters: f32,
+    /// Global gradient norm before clipping.
+    pub grad_norm: f64,
+    /// Its learning rate.
+    pub learning_rate: f64,
+}
+
+impl Row for InitializerStep {
+    const HEADER: &'static str = "step,loss,class,space_diameters,grad_norm,learning_rate";
+    const CURVES: &'static [Curve<Self>] = &[
+        ("loss", "#b03020", |r| r.loss),
+        ("class", "#2050a0", |r| r.class),
+        ("corners, diameters", "#208040", |r| r.space_diameters),
+    ];
+
+    fn step(&self) -> u64 {
+        self.step
+    }
+
+    fn line(&self) -> String {
+        let Self { step, loss, class, space_diameters, grad_norm, learning_rate } = self;
+        format!("{step},{loss},{class},{space_diameters},{grad_norm},{learning_rate}")
+    }
+
+    fn parse(line: &str) -> Option<Self> {
+        let mut parts = line.split(',');
+        let report = Self {
+            step: parts.next()?.parse().ok()?,
+            loss: parts.next()?.parse().ok()?,
+            class: parts.next()?.parse().ok()?,
+            space_diameters: parts.next()?.parse().ok()?,
+            grad_norm: parts.next()?.parse().ok()?,
+            learning_rate: parts.next()?.parse().ok()?,
+        };
+        parts.next().is_none().then_some(report)
+    }
+}
+
+/// What a run left behind.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct InitializerSummary {
+    /// Steps taken over all.
+    pub step: u64,
+    /// Whether all steps were taken (else it was interrupted and can be resumed).
+    pub finished: bool,
+    /// Mean loss over the last 200 steps.
+    pub loss: f32,
+    /// Mean distance of the corners from their rays over the last 200 steps, diameters.
+    pub space_diameters: f32,
+    /// Time of this call, seconds.
+    pub seconds: f64,
+    /// Time that its threads spent rendering, seconds.
+    pub rendering_s: f64,
+    /// The weights, when finished; else the checkpoint.
+    pub written: PathBuf,
+    /// The plot.
+    pub plot: PathBuf,
+}
+
+type State = TrainState<DetectorConfig>;
+
+/// Trains as configured. The weights are written when the last step is done; checkpoint, log and plot stand beside
+/// them.
+///
+/// # Errors
+/// A bad configuration, object set or start weights (before anything is written); a checkpoint of another run; a
+/// loss that is not finite (the last checkpoint stays); a full disk.
+pub fn train_initializer(
+    config: &InitializerTraining,
+    progress: &mut dyn Progress,
+) -> Result<InitializerSummary, TrainerError> {
+    config.check()?;
+    let objects = Arc::new(ObjectSet::load(&config.objects)?);
+    let network = DetectorConfig::named(&config.network, objects.len())?;
+    let generator = SceneGenerator::new(Arc::clone(&objects), config.scenes(&network), config.seed)?;
+    let grid = Grid::new(network.input_px[0], network.input_px[1]);
+    let (mut state, mut log) = open(config, &network, &objects)?;
+    progress.start(state.step(), config.steps);
+    let source = Source { generator, objects, grid, config: config.clone() };
+    let (start, prefetch) = (Instant::now(), Prefetch::start(&source, state.step()));
+    while state.step() < config.steps && !progress.should_stop() {
+        let batch = prefetch.next()?;
+        log.reports.push(step(&mut state, &batch)?);
+        let news = [log.recent(100, |r| r.loss), log.recent(100, |r| r.space_diameters)];
+        progress.step(state.step(), &format!("loss {:.3}  corners off by {:.3} diameters", news[0], news[1]));
+        if state.step().is_multiple_of(config.checkpoint_every) {
+            save_checkpoint(config, &state, &log)?;
+        }
+    }
+    save_checkpoint(config, &state, &log)?;
+    finish(config, &state, &log, start.elapsed().as_secs_f64(), prefetch.busy_s())
+}
+
+fn step(state: &mut State, batch: &data::Batch) -> Result<InitializerStep, TrainerError> {
+    let (stats, loss) = state.detection_step(&batch.images, &batch.truth, &LossWeights::default())?;
+    Ok(InitializerStep {
+        step: stats.step,
+        loss: loss.total,
+        class: loss.class,
+        space_diameters: loss.space_diameters,
+        grad_norm: stats.grad_norm,
+        learning_rate: stats.lr,
+    })
+}
+
+/// A new run, or the checkpoint's.
+fn open(
+    config: &InitializerTraining,
+    network: &DetectorConfig,
+    objects: &ObjectSet,
+) -> Result<(State, RunLog<InitializerStep>), TrainerError> {
+    let device = Device::flex();
+    let (checkpoint, log_path) = (config.checkpoint_path(), config.out.with_extension("csv"));
+    let description = describe(config);
+    if config.resume {
+        check_same_run(&config.run_path(), &description)?;
+        let state = TrainState::load(&checkpoint, network.clone(), &device)?;
+        let log = RunLog::resumed(log_path, state.step())?;
+        return Ok((state, log));
+    }
+    let mut weights = start_weights(config, network)?;
+    weights.info.objects = objects.iter().map(|object| object.name.clone()).collect();
+    weights.info.object_ids = objects.ids();
+    let state = TrainState::new(network.clone(), TrainConfig::new(config.max_lr, config.steps), weights, &device)?;
+    if let Some(folder) = config.out.parent().filter(|f| !f.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).map_err(TrainerError::io(folder))?;
+    }
+    write_atomically(&config.run_path(), description.as_bytes())?;
+    Ok((state, RunLog::new(log_path)))
+}
+
+fn start_weights(config: &InitializerTraining, network: &DetectorConfig) -> Result<Weights, TrainerError> {
+    Ok(match &config.warm_start {
+        WarmStart::Random => Weights::random(network, config.seed),
+        WarmStart::File(path) => Weights::load(path, network)?,
+        WarmStart::Auto => {
+            let raft = Weights::load(Path::new(SHIPPED_WEIGHTS), &NetworkConfig::small())?;
+            Weights::detector_from_raft(network, &raft, config.seed)?
+        }
+    })
+}
+
+/// What decides the weights: the configuration without what may change on resuming.
+fn describe(config: &InitializerTraining) -> String {
+    let fixed = InitializerTraining { resume: false, data_threads: 1, checkpoint_every: 1, ..config.clone() };
+    serde_json::to_string_pretty(&fixed).unwrap_or_default()
+}
+
+/// The log first: a checkpoint never lacks lines of its log.
+fn save_checkpoint(
+    config: &InitializerTraining,
+    state: &State,
+    log: &RunLog<InitializerStep>,
+) -> Result<(), TrainerError> {
+    log.save()?;
+    Ok(state.save(&config.checkpoint_path())?)
+}
+
+fn finish(
+    config: &InitializerTraining,
+    state: &State,
+    log: &RunLog<InitializerStep>,
+    seconds: f64,
+    rendering_s: f64,
+) -> Result<InitializerSummary, TrainerError> {
+    let plot = config.out.with_extension("svg");
+    log.save_plot(&plot)?;
+    let finished = state.step() >= config.steps;
+    if finished {
+        state.weights.save(&config.out)?;
+    }
+    Ok(InitializerSummary {
+        step: state.step(),
+        finished,
+        loss: log.recent(200, |r| r.loss),
+        space_diameters: log.recent(200, |r| r.space_diameters),
+        seconds,
+        rendering_s,
+        written: if finished { config.out.clone() } else { config.checkpoint_path() },
+        plot,
+    })
+}
