@@ -1,10 +1,10 @@
 """PnP on 256 x 256 flow fields, side by side with OpenCV: time and error on the same data in one run.
 
 OpenCV: solvePnPRansac(SOLVEPNP_EPNP, 3 px, 100 iterations), then solvePnPRefineLM on its inliers.
-Ours: the example `pnp_bench` of nodes/pnp. Both get the same points, problem by problem in turn, so that a busy machine
+Ours: the example `pnp_bench` of nodes/shared/solver. Both get the same points, problem by problem in turn, so that a busy machine
 slows both. OpenCV gets ready-made arrays; the time to build ours from the field is listed apart.
 
-    cargo build --release -p pseudoflow-pnp --example pnp_bench
+    cargo build --release -p pseudoflow-solver --example pnp_bench
     /work/venv/bin/python tests/compare/pnp_vs_opencv.py [--problems 40] [-- arguments of pnp_bench]
 """
 

@@ -34,11 +34,13 @@ const NODES: [&str; 9] = [
     "pseudoflow-evaluator",
     "pseudoflow-recorder",
 ];
-const SHARED: [&str; 6] = [
+const SHARED: [&str; 8] = [
     "pseudoflow-msgs",
     "pseudoflow-geometry",
     "pseudoflow-imaging",
     "pseudoflow-network",
+    "pseudoflow-inference",
+    "pseudoflow-solver",
     "pseudoflow-metrics",
     "pseudoflow-runtime",
 ];

@@ -1,4 +1,5 @@
-use crate::{EngineConfig, FlowEngine, FlowError, interleave, normalise, open};
+use crate::{FlowError, interleave};
+use pseudoflow_inference::{Engine, EngineConfig, Input, Output, normalise, open};
 use pseudoflow_msgs::{FlowFields, FlowFieldsHeader, NetworkWeights, ReferenceViews};
 use pseudoflow_network::{ExportOptions, NetworkConfig, Weights, export_onnx};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
@@ -111,11 +112,11 @@ pub fn load_model(path: &Path, network: Network, size_px: u32, iterations: u32) 
 /// Reference views in, flow fields out.
 pub struct FlowNode {
     config: FlowConfig,
-    engine: Box<dyn FlowEngine>,
+    engine: Box<dyn Engine>,
     /// `None` while those of the start serve.
     weights_version: Option<u64>,
     /// In lockstep: what served before, for frames that another node's death brings back.
-    before: Option<(u64, Box<dyn FlowEngine>)>,
+    before: Option<(u64, Box<dyn Engine>)>,
     reference: Vec<f32>,
     real: Vec<f32>,
     planes: Vec<f32>,
@@ -132,6 +133,19 @@ fn pairs<'a>(views: &ReferenceViews<'a>, values: usize) -> Vec<Option<(&'a [u8],
         (partner.present == 1).then(|| (reference(p / m * n), crop))
     });
     of_views.chain(of_partners).collect()
+}
+
+/// Computes `n` fields: reference and real images are `n x 3 x S x S`, `flow_px` is `n x 2 x S x S`.
+fn run(
+    engine: &mut dyn Engine,
+    [reference, real]: [&[f32]; 2],
+    n: usize,
+    size_px: usize,
+    flow_px: &mut [f32],
+) -> Result<(), FlowError> {
+    let shape = [n, 3, size_px, size_px];
+    let inputs = [("reference", reference), ("real", real)].map(|(name, data)| Input { name, shape: &shape, data });
+    Ok(engine.run(&inputs, &mut [Output { name: "flow", data: flow_px }])?)
 }
 
 impl FlowNode {
@@ -151,10 +165,10 @@ impl FlowNode {
             let images = batch.iter().filter_map(|pair| pairs[*pair]);
             let out = self.reference.chunks_exact_mut(values).zip(self.real.chunks_exact_mut(values));
             for ((reference, real), (reference_out, real_out)) in images.zip(out) {
-                normalise(reference, size_px, reference_out);
-                normalise(real, size_px, real_out);
+                normalise(reference, size_px * size_px, reference_out);
+                normalise(real, size_px * size_px, real_out);
             }
-            self.engine.run(&self.reference, &self.real, batch.len(), size_px, &mut flow_px)?;
+            run(&mut *self.engine, [&self.reference, &self.real], batch.len(), size_px, &mut flow_px)?;
             for (pair, flow_px) in batch.iter().zip(flow_px.chunks_exact(field)) {
                 self.planes[pair * field..(pair + 1) * field].copy_from_slice(flow_px);
             }
@@ -187,7 +201,7 @@ impl FlowNode {
         let size_px = self.config.size_px as usize;
         let images = vec![0.0; size_px * size_px * 3];
         let mut flow_px = vec![0.0; size_px * size_px * 2];
-        self.engine.run(&images, &images, 1, size_px, &mut flow_px)
+        run(&mut *self.engine, [&images, &images], 1, size_px, &mut flow_px)
     }
 }
 

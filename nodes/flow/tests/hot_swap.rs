@@ -1,6 +1,7 @@
 //! Weights that come while the node runs: swapped between two frames, at the frame that lockstep says.
 
-use pseudoflow_flow::{Backend, EngineConfig, FlowConfig, FlowNode, Lockstep, Network};
+use pseudoflow_flow::{FlowConfig, FlowNode, Lockstep, Network};
+use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FrameKey, Message, NetworkWeights, NetworkWeightsHeader, Partner, ReferenceViews,
     ReferenceViewsHeader,

@@ -1,8 +1,8 @@
 use crate::gate::{Evidence, Gate, GateConfig, GateView};
-use crate::{FlowField, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
 use pseudoflow_geometry::{Intrinsics, pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_msgs::{FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_solver::{FlowField, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
 use rand::Rng;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -4,7 +4,8 @@ use anyhow::{Context as _, Result, bail};
 use pseudoflow_evaluator::{
     Difference, EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset, overlays,
 };
-use pseudoflow_flow::{Backend, EngineConfig, FlowConfig};
+use pseudoflow_flow::FlowConfig;
+use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};

@@ -1,5 +1,5 @@
 use super::Evidence;
-use crate::{PnpError, PnpResult};
+use pseudoflow_solver::{PnpError, PnpResult};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;

@@ -1,5 +1,5 @@
 use super::picture::{Between, luminance};
-use crate::PnpError;
+use pseudoflow_solver::PnpError;
 use nalgebra::{Point2, Point3, Vector2};
 use pseudoflow_geometry::{Intrinsics, Pose, rotation_angle_rad};
 

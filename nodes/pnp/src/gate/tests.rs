@@ -1,7 +1,7 @@
 //! A textured ball, rendered at one pose as the reference and at another as the "real" crop.
 
 use super::{Evidence, Gate, GateConfig, GateReason, GateView};
-use crate::{PnpError, PnpResult, PnpStatus};
+use pseudoflow_solver::{PnpError, PnpResult, PnpStatus};
 use nalgebra::{Point2, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 

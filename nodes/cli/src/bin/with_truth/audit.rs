@@ -1,7 +1,8 @@
 use crate::truth::Truth;
 use crate::{Failure, Source, bytes, context, network, step};
 use pseudoflow_consistency::{ConsistencyConfig, ConsistencyNode, Label, label_panel};
-use pseudoflow_flow::{EngineConfig, FlowConfig, FlowNode};
+use pseudoflow_flow::{FlowConfig, FlowNode};
+use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{FlowFields, Message, PseudoLabels, ReferenceViews};
 use pseudoflow_player::PlayerNode;
 use pseudoflow_pnp::{PnpNode, PnpNodeConfig};

@@ -4,7 +4,8 @@
 use super::{Args, training};
 use crate::pipeline::{Judged, Pipeline, PipelineConfig};
 use anyhow::{Context as _, Result, anyhow, ensure};
-use pseudoflow_flow::{EngineConfig, FlowConfig};
+use pseudoflow_flow::FlowConfig;
+use pseudoflow_inference::EngineConfig;
 use pseudoflow_geometry::{Crop, Intrinsics};
 use pseudoflow_imaging::{RgbImage, resample};
 use pseudoflow_msgs::CameraFrame;

@@ -7,7 +7,7 @@
 //! solver (12 f64 each, row-major 3 x 4), depth (S * S f32, metres), mask (S * S u8), flow (S * S * 2 f32, pixels).
 
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_row_major, rotation_row_major};
-use pseudoflow_pnp::{FlowField, MinimalSolver, PixelBuffer, PnpConfig, Solver};
+use pseudoflow_solver::{FlowField, MinimalSolver, PixelBuffer, PnpConfig, Solver};
 use std::error::Error;
 use std::io::{BufRead, Write};
 use std::time::Instant;

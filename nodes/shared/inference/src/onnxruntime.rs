@@ -1,9 +1,10 @@
-use crate::{EngineConfig, ExecutionProvider, FlowEngine, FlowError};
+use crate::{Engine, EngineConfig, ExecutionProvider, InferenceError, Input, Output};
 use ort::environment::Environment;
 use ort::ep::ExecutionProviderDispatch;
-use ort::session::Session;
+use ort::session::{Session, SessionInputValue};
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::TensorRef;
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -19,8 +20,8 @@ pub(crate) struct OnnxRuntime {
 static LOADED: Mutex<Option<(PathBuf, Environment)>> = Mutex::new(None);
 
 impl OnnxRuntime {
-    pub(crate) fn open(onnx: &[u8], library: &Path, config: &EngineConfig) -> Result<Self, FlowError> {
-        let failed = |cause: String| FlowError::Library { path: library.to_owned(), cause };
+    pub(crate) fn open(onnx: &[u8], library: &Path, config: &EngineConfig) -> Result<Self, InferenceError> {
+        let failed = |cause: String| InferenceError::Library { path: library.to_owned(), cause };
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         let (path, environment) = match loaded.take() {
             Some(found) => loaded.insert(found),
@@ -30,7 +31,7 @@ impl OnnxRuntime {
             return Err(failed(format!("this process has loaded {} already", path.display())));
         }
         let session = session(environment, onnx, config)
-            .map_err(|cause| FlowError::Load { engine: ENGINE, cause: cause.to_string() })?;
+            .map_err(|cause| InferenceError::Load { engine: ENGINE, cause: cause.to_string() })?;
         Ok(Self { session, provider: config.provider })
     }
 }
@@ -58,28 +59,36 @@ fn providers(provider: ExecutionProvider) -> Vec<ExecutionProviderDispatch> {
     }
 }
 
-impl FlowEngine for OnnxRuntime {
+impl Engine for OnnxRuntime {
     fn describe(&self) -> String {
         format!("{ENGINE} ({:?})", self.provider)
     }
 
-    fn run(
-        &mut self,
-        reference: &[f32],
-        real: &[f32],
-        n: usize,
-        size_px: usize,
-        flow_px: &mut [f32],
-    ) -> Result<(), FlowError> {
-        let shape = [n, 3, size_px, size_px];
-        let mut run = || -> ort::Result<()> {
-            let outputs = self.session.run(ort::inputs![
-                "reference" => TensorRef::from_array_view((shape, reference))?,
-                "real" => TensorRef::from_array_view((shape, real))?,
-            ])?;
-            flow_px.copy_from_slice(outputs["flow"].try_extract_tensor::<f32>()?.1);
-            Ok(())
+    fn run(&mut self, inputs: &[Input<'_>], outputs: &mut [Output<'_>]) -> Result<(), InferenceError> {
+        let failed = |cause: String| {
+            let (input, shape) = inputs.first().map_or_else(Default::default, |i| (i.name.to_owned(), i.shape.to_vec()));
+            InferenceError::Run { engine: ENGINE, input, shape, cause }
         };
-        run().map_err(|cause| FlowError::Run { engine: ENGINE, fields: n, size_px, cause: cause.to_string() })
+        let mut values: Vec<(Cow<'_, str>, SessionInputValue<'_>)> = Vec::with_capacity(inputs.len());
+        for input in inputs {
+            let tensor = TensorRef::from_array_view((input.shape, input.data)).map_err(|e| failed(e.to_string()))?;
+            values.push((Cow::Borrowed(input.name), tensor.into()));
+        }
+        let found = self.session.run(values).map_err(|e| failed(e.to_string()))?;
+        for output in outputs {
+            let value = found.get(output.name).ok_or_else(|| failed(format!("no output `{}`", output.name)))?;
+            let (_, data) = value.try_extract_tensor::<f32>().map_err(|e| failed(e.to_string()))?;
+            copy(data, output).map_err(failed)?;
+        }
+        Ok(())
     }
+}
+
+/// The values of an output, if there are as many as wanted.
+pub(crate) fn copy(data: &[f32], output: &mut Output<'_>) -> Result<(), String> {
+    if data.len() != output.data.len() {
+        return Err(format!("output `{}` has {} values, not {}", output.name, data.len(), output.data.len()));
+    }
+    output.data.copy_from_slice(data);
+    Ok(())
 }

@@ -1,7 +1,7 @@
 //! Once a solver has grown to the size of its input, solving allocates nothing.
 
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_pnp::{Correspondences, MinimalSolver, PnpConfig, Solver};
+use pseudoflow_solver::{Correspondences, MinimalSolver, PnpConfig, Solver};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 

@@ -1,28 +1,40 @@
-use crate::FlowError;
+use crate::InferenceError;
 use crate::onnxruntime::OnnxRuntime;
 use crate::rten_engine::Rten;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Runs the flow network.
-pub trait FlowEngine: Send {
+/// A tensor that goes into a network.
+#[derive(Debug, Clone, Copy)]
+pub struct Input<'a> {
+    /// Its name in the network.
+    pub name: &'a str,
+    /// Shape, outermost first.
+    pub shape: &'a [usize],
+    /// Row-major values.
+    pub data: &'a [f32],
+}
+
+/// Where a tensor goes that comes out.
+#[derive(Debug)]
+pub struct Output<'a> {
+    /// Its name in the network.
+    pub name: &'a str,
+    /// Row-major values; as many as the network gives.
+    pub data: &'a mut [f32],
+}
+
+/// Runs a network.
+pub trait Engine: Send {
     /// Engine, version and provider, for logs and reports.
     fn describe(&self) -> String;
 
-    /// Computes `n` fields. `reference` and `real` are `n x 3 x S x S` in `[-1, 1]` ([`crate::normalise`]); the
-    /// answer goes to `flow_px`, `n x 2 x S x S` pixels.
+    /// Computes the outputs.
     ///
     /// # Errors
-    /// What the engine says, with sizes.
-    fn run(
-        &mut self,
-        reference: &[f32],
-        real: &[f32],
-        n: usize,
-        size_px: usize,
-        flow_px: &mut [f32],
-    ) -> Result<(), FlowError>;
+    /// What the engine says, with shapes; an output that is not there or has another length.
+    fn run(&mut self, inputs: &[Input<'_>], outputs: &mut [Output<'_>]) -> Result<(), InferenceError>;
 }
 
 /// Which engine.
@@ -84,14 +96,14 @@ const DEFAULT_LIBRARY: &str = "libonnxruntime.so";
 /// # Errors
 /// When the engine is not there or refuses the network. `backend: auto` turns to rten only when nobody named a
 /// library and the loader finds none.
-pub fn open(onnx: &[u8], config: &EngineConfig) -> Result<Box<dyn FlowEngine>, FlowError> {
+pub fn open(onnx: &[u8], config: &EngineConfig) -> Result<Box<dyn Engine>, InferenceError> {
     let (library, named) = config.library();
     match config.backend {
         Backend::OnnxRuntime => Ok(Box::new(OnnxRuntime::open(onnx, &library, config)?)),
         Backend::Rten => open_rten(onnx, config),
         Backend::Auto => match OnnxRuntime::open(onnx, &library, config) {
-            Err(FlowError::Library { cause, .. }) if !named => {
-                log::info!("no ONNX Runtime on this machine ({cause}): the embedded rten computes the flow");
+            Err(InferenceError::Library { cause, .. }) if !named => {
+                log::info!("no ONNX Runtime on this machine ({cause}): the embedded rten computes");
                 open_rten(onnx, config)
             }
             other => Ok(Box::new(other?)),
@@ -99,9 +111,9 @@ pub fn open(onnx: &[u8], config: &EngineConfig) -> Result<Box<dyn FlowEngine>, F
     }
 }
 
-fn open_rten(onnx: &[u8], config: &EngineConfig) -> Result<Box<dyn FlowEngine>, FlowError> {
+fn open_rten(onnx: &[u8], config: &EngineConfig) -> Result<Box<dyn Engine>, InferenceError> {
     if config.provider != ExecutionProvider::Cpu {
-        return Err(FlowError::ProviderNeedsOnnxRuntime(config.provider));
+        return Err(InferenceError::ProviderNeedsOnnxRuntime(config.provider));
     }
     Ok(Box::new(Rten::open(onnx, config.threads)?))
 }
