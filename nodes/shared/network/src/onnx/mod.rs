@@ -6,6 +6,7 @@
 //! products.
 
 mod builder;
+mod detector;
 mod proto;
 mod recurrent;
 #[cfg(test)]
@@ -17,6 +18,7 @@ use crate::model::BATCH_NORM_EPSILON;
 use crate::raft::Raft;
 use crate::weights::{NamedTensor, Weights};
 use builder::{Attr, Batch, Builder};
+pub use detector::export_detector;
 
 /// What to export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -131,21 +133,27 @@ impl<'a> Export<'a> {
     }
 
     fn encoder(&mut self, x: &str, name: &str, instance: bool) -> String {
+        let y = self.trunk(x, name, instance);
+        let head = self.conv_weights(&format!("{name}.conv2"));
+        self.conv(&y, &head, 1)
+    }
+
+    /// An encoder without its last convolution.
+    fn trunk(&mut self, x: &str, name: &str, instance: bool) -> String {
         let stem = self.normed(x, &format!("{name}.conv1"), &format!("{name}.norm1"), 2, instance);
         let mut y = self.graph.relu(&stem);
         for stage in 1..4 {
             for block in 0..2 {
                 let shrinks = stage > 1 && block == 0;
-                y = self.block(&y, &format!("{name}.layer{stage}.{block}"), shrinks, instance);
+                y = self.block(&y, &format!("{name}.layer{stage}.{block}"), self.arch, shrinks, instance);
             }
         }
-        let head = self.conv_weights(&format!("{name}.conv2"));
-        self.conv(&y, &head, 1)
+        y
     }
 
-    fn block(&mut self, x: &str, name: &str, shrinks: bool, instance: bool) -> String {
+    fn block(&mut self, x: &str, name: &str, arch: Architecture, shrinks: bool, instance: bool) -> String {
         let stride = if shrinks { 2 } else { 1 };
-        let strides: &[usize] = match self.arch {
+        let strides: &[usize] = match arch {
             Architecture::Basic => &[stride, 1],
             Architecture::Small => &[1, stride, 1],
         };

@@ -1,4 +1,6 @@
 use super::*;
+use crate::detector::DetectorConfig;
+use crate::model::Model;
 use burn::tensor::Device;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -72,4 +74,25 @@ fn bad_options_are_named() {
     let text = export_onnx(&weights, &NetworkConfig::paper(), good).unwrap_err().to_string();
     assert!(text.contains("fnet.conv1.weight"), "{text}");
     assert_eq!(export_onnx(&weights, &config, good).unwrap(), export_onnx(&weights, &config, good).unwrap());
+}
+
+#[test]
+fn detector_equals_burn() {
+    let config = DetectorConfig { name: "tiny".into(), input_px: [96, 64], widths: [16, 24], pyramid: 16, objects: 3 };
+    let weights = Weights::random(&config, 3);
+    let model = rten::Model::load(export_detector(&weights, &config).unwrap()).unwrap();
+    let image = images(1, 96, 5)[0][..3 * 64 * 96].to_vec();
+    let input = rten::ValueOrView::from(rten_tensor::Tensor::from_data(&[1, 3, 64, 96], image.clone()));
+    let names = ["classes", "corners"].map(|name| model.node_id(name).unwrap());
+    let theirs = model.run(vec![(model.node_id("image").unwrap(), input)], &names, None).unwrap();
+    let network = config.build(&weights, &Device::flex()).unwrap();
+    let image = burn::tensor::TensorData::new(image, [1, 3, 64, 96]);
+    let ours = network.forward(burn::tensor::Tensor::from_data(image, &Device::flex()));
+    for (ours, theirs) in ours.into_iter().zip(theirs) {
+        let theirs: rten_tensor::Tensor<f32> = theirs.try_into().unwrap();
+        assert_eq!(theirs.shape(), ours.dims());
+        let ours = ours.into_data().try_into_vec::<f32>().unwrap();
+        let worst = ours.iter().zip(theirs.to_vec()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(worst < 1e-3, "{worst}");
+    }
 }
