@@ -23,9 +23,10 @@ fn members() -> BTreeMap<String, BTreeSet<String>> {
     packages.iter().map(|package| (name(package), of(package))).collect()
 }
 
-const NODES: [&str; 9] = [
+const NODES: [&str; 10] = [
     "pseudoflow-player",
     "pseudoflow-bridge",
+    "pseudoflow-initializer",
     "pseudoflow-renderer",
     "pseudoflow-flow",
     "pseudoflow-consistency",

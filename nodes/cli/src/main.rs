@@ -50,6 +50,7 @@ enum Command {
 fn registry() -> Registry {
     Registry::new()
         .with::<pseudoflow_player::PlayerNode>()
+        .with::<pseudoflow_initializer::InitializerNode>()
         .with::<pseudoflow_renderer::RendererNode>()
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_consistency::ConsistencyNode>()

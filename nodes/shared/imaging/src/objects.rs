@@ -59,6 +59,12 @@ struct ContinuousInfo {
 const MILLIMETRE_M: f64 = 1e-3;
 
 impl Object {
+    /// The middle of the bounding box, metres.
+    #[must_use]
+    pub fn box_centre_m(&self) -> Point3<f64> {
+        self.low_m + self.extents_m / 2.0
+    }
+
     /// The corners of the bounding box, metres: corner i has the high end of axis k where bit k of i is set.
     #[must_use]
     pub fn box_corners_m(&self) -> [Point3<f64>; 8] {

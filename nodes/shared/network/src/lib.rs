@@ -16,7 +16,7 @@ mod weights;
 pub use burn::tensor::{Device, Tensor};
 pub use config::{Architecture, NetworkConfig};
 pub use detector::{
-    CORNERS, Cell, DetectionLoss, Detector, DetectorConfig, DetectorOutput, Grid, InstanceTruth, LossWeights, STRIDES,
+    CORNERS, SURFACE_UNIT, Cell, DetectionLoss, Detector, DetectorConfig, DetectorOutput, Grid, InstanceTruth, LossWeights, STRIDES,
     SceneTruth, detection_loss,
 };
 pub use error::{NetworkError, Result};

@@ -38,21 +38,28 @@ pub(crate) fn example(scene: &SceneSample, objects: &ObjectSet, grid: &Grid, rng
     let colours = Colours::draw(rng);
     let image = turned.image(&scene.image, grid, &colours);
     let known = |id: u32| objects.iter().enumerate().find(|(_, object)| object.id == id);
-    let mut instances = Vec::new();
-    // Numbers of the instances that stay; 0 for those that cannot be labelled.
-    let mut number = vec![0_u8; scene.instances.len() + 1];
-    for (i, instance) in scene.instances.iter().enumerate() {
+    let mut truth = SceneTruth { intrinsics: turned.pinhole(), owner: vec![], surface: vec![], instances: vec![] };
+    // For each instance its number (0 where it cannot be labelled), and how its surface is measured.
+    let mut places = Vec::new();
+    for instance in &scene.instances {
         let Some((class, object)) = known(instance.object_id) else { continue };
         let pose = object.symmetries.canonical(&instance.camera_from_object);
         let corners = object.box_corners_m().map(|corner| turned.to_from * (pose * corner));
-        if let Some(truth) = turned.label(class, object, corners) {
-            instances.push(truth);
-            number[i + 1] = instances.len() as u8;
-        }
+        let label = turned.label(class, object, corners);
+        let labelled = label.is_some();
+        truth.instances.extend(label);
+        places.push((if labelled { truth.instances.len() as u8 } else { 0 }, pose.inverse(), object));
     }
-    let owner = grid.cells.iter().map(|cell| number[usize::from(turned.owner(scene, cell.centre_px))]);
-    let intrinsics = [turned.to.fx, turned.to.fy, turned.to.cx, turned.to.cy].map(|v| v as f32);
-    Example { image, truth: SceneTruth { intrinsics, owner: owner.collect(), instances } }
+    for cell in &grid.cells {
+        let seen = turned.seen(scene, cell.centre_px).map(|(instance, point)| (places[instance], point));
+        let seen = seen.filter(|((number, _, _), _)| *number > 0);
+        truth.owner.push(seen.map_or(0, |((number, _, _), _)| number));
+        truth.surface.push(seen.map_or([0.0; 3], |((_, object_from_camera, object), point)| {
+            let away = (object_from_camera * point - object.box_centre_m()) / object.diameter_m;
+            [away.x as f32, away.y as f32, away.z as f32]
+        }));
+    }
+    Example { image, truth }
 }
 
 fn uniform(rng: &mut impl Rng, low: f64, high: f64) -> f64 {
@@ -84,12 +91,20 @@ impl Turned {
         self.from.project(&Point3::from(self.to_from.inverse() * ray.coords))
     }
 
-    fn owner(&self, scene: &SceneSample, centre_px: [f32; 2]) -> u8 {
+    /// The instance that is seen at an input pixel, and the point of it, metres, in the frame of the scene's camera.
+    fn seen(&self, scene: &SceneSample, centre_px: [f32; 2]) -> Option<(usize, Point3<f64>)> {
         let (width, height) = scene.image.dimensions();
         let inside = centre_px[1] < self.rows as f32;
-        let at = inside.then(|| self.source(centre_px.map(f64::from))).flatten().map(|p| (p.x.round(), p.y.round()));
-        let within = |&(x, y): &(f64, f64)| x >= 0.0 && y >= 0.0 && x < f64::from(width) && y < f64::from(height);
-        at.filter(within).map_or(0, |(x, y)| scene.owner[y as usize * width as usize + x as usize])
+        let at = inside.then(|| self.source(centre_px.map(f64::from))).flatten()?;
+        let at = Point2::new(at.x.round(), at.y.round());
+        let within = at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(width) && at.y < f64::from(height);
+        let index = if within { at.y as usize * width as usize + at.x as usize } else { return None };
+        let instance = usize::from(scene.owner[index]).checked_sub(1)?;
+        Some((instance, self.from.unproject(&at, f64::from(scene.depth_m[index]))))
+    }
+
+    fn pinhole(&self) -> [f32; 4] {
+        [self.to.fx, self.to.fy, self.to.cx, self.to.cy].map(|v| v as f32)
     }
 
     /// The image, bilinear; what lies outside repeats the border.

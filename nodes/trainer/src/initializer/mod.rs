@@ -34,6 +34,8 @@ pub struct InitializerStep {
     pub class: f32,
     /// Mean distance of the corners from their rays, diameters.
     pub space_diameters: f32,
+    /// Mean distance of the surface points, diameters.
+    pub surface_diameters: f32,
     /// Global gradient norm before clipping.
     pub grad_norm: f64,
     /// Its learning rate.
@@ -41,11 +43,12 @@ pub struct InitializerStep {
 }
 
 impl Row for InitializerStep {
-    const HEADER: &'static str = "step,loss,class,space_diameters,grad_norm,learning_rate";
+    const HEADER: &'static str = "step,loss,class,space_diameters,surface_diameters,grad_norm,learning_rate";
     const CURVES: &'static [Curve<Self>] = &[
         ("loss", "#b03020", |r| r.loss),
         ("class", "#2050a0", |r| r.class),
         ("corners, diameters", "#208040", |r| r.space_diameters),
+        ("surface, diameters", "#a07010", |r| r.surface_diameters),
     ];
 
     fn step(&self) -> u64 {
@@ -53,8 +56,8 @@ impl Row for InitializerStep {
     }
 
     fn line(&self) -> String {
-        let Self { step, loss, class, space_diameters, grad_norm, learning_rate } = self;
-        format!("{step},{loss},{class},{space_diameters},{grad_norm},{learning_rate}")
+        let Self { step, loss, class, space_diameters, surface_diameters, grad_norm, learning_rate } = self;
+        format!("{step},{loss},{class},{space_diameters},{surface_diameters},{grad_norm},{learning_rate}")
     }
 
     fn parse(line: &str) -> Option<Self> {
@@ -64,6 +67,7 @@ impl Row for InitializerStep {
             loss: parts.next()?.parse().ok()?,
             class: parts.next()?.parse().ok()?,
             space_diameters: parts.next()?.parse().ok()?,
+            surface_diameters: parts.next()?.parse().ok()?,
             grad_norm: parts.next()?.parse().ok()?,
             learning_rate: parts.next()?.parse().ok()?,
         };
@@ -116,8 +120,10 @@ pub fn train_initializer(
     while state.step() < config.steps && !progress.should_stop() {
         let batch = prefetch.next()?;
         log.reports.push(step(&mut state, &batch)?);
-        let news = [log.recent(100, |r| r.loss), log.recent(100, |r| r.space_diameters)];
-        progress.step(state.step(), &format!("loss {:.3}  corners off by {:.3} diameters", news[0], news[1]));
+        let [loss, corners, surface]: [fn(&InitializerStep) -> f32; 3] =
+            [|r| r.loss, |r| r.space_diameters, |r| r.surface_diameters];
+        let [loss, corners, surface] = [loss, corners, surface].map(|value| log.recent(100, value));
+        progress.step(state.step(), &format!("loss {loss:.3}  off by (diameters): corners {corners:.3}, surface {surface:.3}"));
         if state.step().is_multiple_of(config.checkpoint_every) {
             save_checkpoint(config, &state, &log)?;
         }
@@ -133,6 +139,7 @@ fn step(state: &mut State, batch: &data::Batch) -> Result<InitializerStep, Train
         loss: loss.total,
         class: loss.class,
         space_diameters: loss.space_diameters,
+        surface_diameters: loss.surface_diameters,
         grad_norm: stats.grad_norm,
         learning_rate: stats.lr,
     })

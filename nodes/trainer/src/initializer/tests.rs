@@ -72,8 +72,15 @@ fn labels_lie_where_the_objects_are() {
         assert_eq!(scene, generator.scene(index).unwrap());
         let truth = example(&scene, &objects, &grid, &mut ChaCha8Rng::seed_from_u64(index)).truth;
         let [fx, fy, cx, cy] = truth.intrinsics;
-        for (cell, owner) in grid.cells.iter().zip(&truth.owner).filter(|(_, owner)| **owner > 0) {
-            let corners = truth.instances[usize::from(*owner) - 1].corners_m;
+        let cells = grid.cells.iter().zip(&truth.owner).zip(&truth.surface);
+        for ((cell, owner), surface) in cells.filter(|((_, owner), _)| **owner > 0) {
+            let instance = &truth.instances[usize::from(*owner) - 1];
+            let corners = instance.corners_m;
+            let [x, y, z] = on_box(&corners, surface.map(|v| v * instance.diameter_m));
+            let seen = [fx * x / z + cx, fy * y / z + cy];
+            let off = (seen[0] - cell.centre_px[0]).hypot(seen[1] - cell.centre_px[1]);
+            // Read at the nearest pixel of the scene, zoomed by up to 1.3.
+            assert!(off < 1.3, "scene {index}: {cell:?} shows {seen:?}");
             let at = corners.map(|[x, y, z]| [fx * x / z + cx, fy * y / z + cy]);
             for k in 0..2 {
                 let (low, high) = (0..8).fold((f32::MAX, f32::MIN), |(l, h), i| (l.min(at[i][k]), h.max(at[i][k])));
@@ -84,6 +91,18 @@ fn labels_lie_where_the_objects_are() {
         }
     }
     assert!(owned > 100, "{owned}");
+}
+
+/// The point at an offset (metres) from the middle of a box, along its own axes.
+fn on_box(corners: &[[f32; 3]; 8], offset: [f32; 3]) -> [f32; 3] {
+    let middle = |k: usize| corners.iter().map(|c| c[k]).sum::<f32>() / 8.0;
+    let mut point = [middle(0), middle(1), middle(2)];
+    for (axis, along) in offset.into_iter().enumerate() {
+        let edge: [f32; 3] = std::array::from_fn(|k| corners[1 << axis][k] - corners[0][k]);
+        let length = edge.iter().map(|e| e * e).sum::<f32>().sqrt();
+        (0..3).for_each(|k| point[k] += along * edge[k] / length);
+    }
+    point
 }
 
 #[test]

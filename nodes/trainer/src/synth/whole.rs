@@ -86,6 +86,8 @@ pub struct SceneSample {
     pub instances: Vec<SceneInstance>,
     /// For each pixel the instance that is seen there, counted from 1; 0 for anything else.
     pub owner: Vec<u8>,
+    /// Depth of each pixel, metres; 0 where nothing is.
+    pub depth_m: Vec<f32>,
 }
 
 /// Makes scenes of an object set. A scene depends on the seed and its index only.
@@ -121,22 +123,19 @@ impl SceneGenerator {
         let window = Window::whole(&intrinsics, self.config.image_px);
         let picture = scene.render(&window);
         let image = Sensor::draw(&mut rng).expose(&picture.light, &mut rng)?;
-        let owner = owners(&picture.visible, &window, placed.len());
+        let (owner, depth_m) = owners(&picture.visible, &window, placed.len());
         let instance = |p: &super::scene::Placed| SceneInstance {
             object_id: p.object_id,
             camera_from_object: p.camera_from_object,
         };
-        Ok(SceneSample { image, intrinsics, instances: placed.iter().map(instance).collect(), owner })
+        Ok(SceneSample { image, intrinsics, instances: placed.iter().map(instance).collect(), owner, depth_m })
     }
 }
 
-/// The owner of each image pixel, read at its first sub-pixel.
-fn owners(visible: &Rendering, window: &Window, objects: usize) -> Vec<u8> {
+/// Owner and depth of each image pixel, read at its first sub-pixel.
+fn owners(visible: &Rendering, window: &Window, objects: usize) -> (Vec<u8>, Vec<f32>) {
     let (n, width, height) = (window.supersampling as usize, window.width as usize, window.height as usize);
-    let owner = |i: usize| {
-        let (x, y) = (i % width, i / width);
-        let owner = visible.mask[(y * n) * width * n + x * n];
-        if usize::from(owner) <= objects { owner } else { 0 }
-    };
-    (0..width * height).map(owner).collect()
+    let place = |i: usize| (i / width * n) * width * n + i % width * n;
+    let known = |owner: u8| if usize::from(owner) <= objects { owner } else { 0 };
+    (0..width * height).map(place).map(|at| (known(visible.mask[at]), visible.depth_m[at])).unzip()
 }

@@ -5,6 +5,9 @@ use std::path::Path;
 /// Corners of a box.
 pub const CORNERS: usize = 8;
 
+/// Unit of the surface coordinates that the network gives, diameters.
+pub const SURFACE_UNIT: f32 = 0.25;
+
 /// The initializer's network and the size it works at. Unknown keys are rejected.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

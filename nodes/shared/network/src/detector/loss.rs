@@ -1,7 +1,8 @@
 //! The detector's loss, with its gradients: focal loss of the classes, and for cells inside an object the distance of its
-//! box corners from the rays through their predicted pixels (Hu et al. 2021, section 3.3), plus that in the image.
+//! box corners from the rays through their predicted pixels (Hu et al. 2021, section 3.3), plus that in the image, plus that
+//! of the surface point from the true one.
 
-use super::{CORNERS, Grid};
+use super::{CORNERS, Grid, SURFACE_UNIT};
 use rayon::prelude::*;
 
 /// What a synthetic image shows. The network's input is its image.
@@ -11,6 +12,9 @@ pub struct SceneTruth {
     pub intrinsics: [f32; 4],
     /// For each cell the instance that is seen at its centre, counted from 1; 0 for none.
     pub owner: Vec<u8>,
+    /// For each cell with an owner the point of its surface that is seen at the centre, diameters from the middle of the
+    /// object's box.
+    pub surface: Vec<[f32; 3]>,
     /// The instances.
     pub instances: Vec<InstanceTruth>,
 }
@@ -35,6 +39,8 @@ pub struct DetectorOutput<'a> {
     pub logits: &'a [f32],
     /// (n, 16 objects, cells).
     pub offsets: &'a [f32],
+    /// (n, 3 objects, cells).
+    pub surface: &'a [f32],
     /// Objects.
     pub objects: usize,
 }
@@ -46,11 +52,13 @@ pub struct LossWeights {
     pub space: f32,
     /// Of the distance in the image, in sides of the projection.
     pub image: f32,
+    /// Of the surface point, in diameters.
+    pub surface: f32,
 }
 
 impl Default for LossWeights {
     fn default() -> Self {
-        Self { space: 4.0, image: 2.0 }
+        Self { space: 3.0, image: 1.0, surface: 6.0 }
     }
 }
 
@@ -65,12 +73,16 @@ pub struct DetectionLoss {
     pub space_diameters: f32,
     /// Mean distance of the corners in the image, sides of the projection.
     pub image_sides: f32,
+    /// Mean distance of the surface points, diameters.
+    pub surface_diameters: f32,
     /// Cells inside objects.
     pub positives: usize,
     /// As [`DetectorOutput::logits`].
     pub logit_gradient: Vec<f32>,
     /// As [`DetectorOutput::offsets`].
     pub offset_gradient: Vec<f32>,
+    /// As [`DetectorOutput::surface`].
+    pub surface_gradient: Vec<f32>,
 }
 
 /// Focal loss's constants (Lin et al. 2017).
@@ -85,6 +97,7 @@ struct ImageLoss {
     class: f64,
     space: f64,
     image: f64,
+    surface: f64,
 }
 
 /// A cell inside an object that its level takes.
@@ -108,45 +121,55 @@ pub fn detection_loss(
     let (cells, objects) = (grid.cells.len(), output.objects);
     assert_eq!(output.logits.len(), truth.len() * objects * cells, "logits of every image, object and cell");
     assert_eq!(output.offsets.len(), truth.len() * objects * 2 * CORNERS * cells, "offsets of every corner");
+    assert_eq!(output.surface.len(), truth.len() * objects * 3 * cells, "a surface point of every object");
     let positives: Vec<Vec<Positive>> = truth.iter().map(|scene| positives(scene, grid)).collect();
     let count: usize = positives.iter().map(Vec::len).sum();
     let weight_sum = positives.iter().flatten().map(|p| f64::from(p.weight)).sum::<f64>().max(1e-9) as f32;
     let mut logit_gradient = vec![0.0; output.logits.len()];
     let mut offset_gradient = vec![0.0; output.offsets.len()];
+    let mut surface_gradient = vec![0.0; output.surface.len()];
     let class_scale = 1.0 / count.max(1) as f32;
-    let (logit_chunk, offset_chunk) = (objects * cells, objects * 2 * CORNERS * cells);
+    let (logit_chunk, offset_chunk, surface_chunk) =
+        (objects * cells, objects * 2 * CORNERS * cells, objects * 3 * cells);
     let images: Vec<ImageLoss> = (
         output.logits.par_chunks_exact(logit_chunk),
         output.offsets.par_chunks_exact(offset_chunk),
+        output.surface.par_chunks_exact(surface_chunk),
         logit_gradient.par_chunks_exact_mut(logit_chunk),
         offset_gradient.par_chunks_exact_mut(offset_chunk),
+        surface_gradient.par_chunks_exact_mut(surface_chunk),
         truth.par_iter(),
         positives.par_iter(),
     )
         .into_par_iter()
-        .map(|(logits, offsets, by_logit, by_offset, scene, positives)| {
+        .map(|(logits, offsets, surface, by_logit, by_offset, by_surface, scene, positives)| {
             let class = focal(logits, scene, positives, class_scale, by_logit);
             let corners = Corners { scene, grid, weights, scale: 1.0 / (weight_sum * CORNERS as f32) };
             let (space, image) = corners.loss(offsets, positives, by_offset);
-            ImageLoss { class, space, image }
+            let surface = corners.surface(surface, positives, by_surface);
+            ImageLoss { class, space, image, surface }
         })
         .collect();
     let sum = |part: fn(&ImageLoss) -> f64| images.iter().map(part).sum::<f64>() as f32;
     let (class, space, image) = (sum(|i| i.class), sum(|i| i.space), sum(|i| i.image));
+    let surface = sum(|i| i.surface);
     DetectionLoss {
-        total: class + weights.space * space + weights.image * image,
+        total: class + weights.space * space + weights.image * image + weights.surface * surface,
         class,
         space_diameters: space,
         image_sides: image,
+        surface_diameters: surface,
         positives: count,
         logit_gradient,
         offset_gradient,
+        surface_gradient,
     }
 }
 
 /// Large objects have many cells; each instance counts at each level with the root of their number.
 fn positives(scene: &SceneTruth, grid: &Grid) -> Vec<Positive> {
     assert_eq!(scene.owner.len(), grid.cells.len(), "an owner of every cell");
+    assert_eq!(scene.surface.len(), grid.cells.len(), "a surface point of every cell");
     let mut found: Vec<Positive> = Vec::new();
     let mut counts = vec![[0_usize; super::STRIDES.len()]; scene.instances.len()];
     for (cell, owner) in scene.owner.iter().enumerate().filter(|(_, owner)| **owner > 0) {
@@ -186,7 +209,7 @@ fn softplus(x: f32) -> f32 {
     x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 
-/// The corners' part for one image.
+/// The parts of corners and surface for one image.
 struct Corners<'a> {
     scene: &'a SceneTruth,
     grid: &'a Grid,
@@ -217,6 +240,24 @@ impl Corners<'_> {
             }
         }
         (space, image)
+    }
+
+    /// The surface points' part.
+    fn surface(&self, surface: &[f32], positives: &[Positive], gradient: &mut [f32]) -> f64 {
+        let cells = self.grid.cells.len();
+        let mut sum = 0.0_f64;
+        for positive in positives {
+            let at = self.scene.instances[positive.instance].class * 3 * cells + positive.cell;
+            let truth = self.scene.surface[positive.cell];
+            let away: [f32; 3] = std::array::from_fn(|k| SURFACE_UNIT * surface[at + k * cells] - truth[k]);
+            let (value, slope) = rounded(away.iter().map(|a| a * a).sum());
+            let weight = positive.weight * self.scale * CORNERS as f32;
+            sum += f64::from(weight * value);
+            for (k, away) in away.into_iter().enumerate() {
+                gradient[at + k * cells] = self.weights.surface * weight * 2.0 * slope * away * SURFACE_UNIT;
+            }
+        }
+        sum
     }
 }
 

@@ -1,6 +1,7 @@
 //! The initializer's network (method.md, pipeline step 1; Hu et al., "Wide-Depth-Range 6D Object Pose Estimation in
 //! Space", CVPR 2021): every location inside an object says which object it is and where the eight corners of its
-//! bounding box project, at three resolutions.
+//! bounding box project, at three resolutions. Beyond the recipe, it also says which point of the object's surface it shows:
+//! texture tells that from its neighbourhood alone, long before a network has learned to see a whole box.
 //!
 //! Backbone: the feature encoder of RAFT-small to 1/8 (so its published weights start it), residual stages at 1/8, 1/16 and
 //! 1/32, a feature pyramid over them, and one head for all levels.
@@ -11,7 +12,7 @@ mod loss;
 #[cfg(test)]
 mod tests;
 
-pub use config::{CORNERS, DetectorConfig};
+pub use config::{CORNERS, DetectorConfig, SURFACE_UNIT};
 pub use grid::{Cell, Grid, STRIDES};
 pub use loss::{DetectionLoss, DetectorOutput, InstanceTruth, LossWeights, SceneTruth, detection_loss};
 
@@ -36,6 +37,7 @@ pub struct Detector {
     tower: Vec<Conv>,
     class: Conv,
     corners: Conv,
+    surface: Conv,
     parameters: Vec<Parameter>,
 }
 
@@ -62,6 +64,7 @@ fn layout(config: &DetectorConfig) -> Vec<TensorSpec> {
     }
     list.conv("class", config.objects, config.pyramid, [3, 3], None);
     list.conv("corners", 2 * CORNERS * config.objects, config.pyramid, [3, 3], None);
+    list.conv("surface", 3 * config.objects, config.pyramid, [3, 3], None);
     for spec in list.0.iter_mut().filter(|spec| spec.name == "class.bias") {
         // At first everything is background (Lin et al., "Focal Loss for Dense Object Detection", section 3.3).
         spec.init = crate::model::Init::Constant(-4.6);
@@ -100,13 +103,15 @@ impl Detector {
             tower: (0..TOWER).map(|i| conv(format!("tower.{i}"))).collect(),
             class: conv("class".into()),
             corners: conv("corners".into()),
+            surface: conv("surface".into()),
             parameters: source.into_parameters(),
         })
     }
 
     /// Images (N, 3, H, W) in [-1, 1], H and W multiples of 32, to class logits (N, objects, cells) and corner offsets
-    /// (N, 16 objects, cells), in units of [`Cell::unit_px`] from the cell's centre; cells in the order of [`Grid`].
-    pub fn forward(&self, images: Tensor<4>) -> [Tensor<3>; 2] {
+    /// (N, 16 objects, cells), in units of [`Cell::unit_px`] from the cell's centre, and surface points (N, 3 objects,
+    /// cells), in units of [`SURFACE_UNIT`] from the middle of the object's box; cells in the order of [`Grid`].
+    pub fn forward(&self, images: Tensor<4>) -> [Tensor<3>; 3] {
         let norm = Norm::Instance;
         let x = forward_normed(&self.stem, images, norm, true);
         let mut x = self.trunk.iter().fold(x, |x, block| block.forward(x, norm));
@@ -120,10 +125,10 @@ impl Detector {
         }
         let heads = levels.into_iter().map(|x| {
             let x = self.tower.iter().fold(x, |x, conv| conv.forward(x, true));
-            [&self.class, &self.corners].map(|conv| flat(conv.forward(x.clone(), false)))
+            [&self.class, &self.corners, &self.surface].map(|conv| flat(conv.forward(x.clone(), false)))
         });
-        let (class, corners) = heads.map(|[class, corners]| (class, corners)).unzip();
-        [Tensor::cat(class, 2), Tensor::cat(corners, 2)]
+        let by_level: Vec<[Tensor<3>; 3]> = heads.collect();
+        [0, 1, 2].map(|i| Tensor::cat(by_level.iter().map(|heads| heads[i].clone()).collect(), 2))
     }
 }
 
@@ -146,7 +151,7 @@ impl Model for DetectorConfig {
     }
 
     fn hash(&self) -> String {
-        fingerprint(&format!("detector {:?} {:?} {} {}", self.input_px, self.widths, self.pyramid, self.objects))
+        fingerprint(&format!("detector with surface {:?} {:?} {} {}", self.input_px, self.widths, self.pyramid, self.objects))
     }
 
     fn layout(&self) -> Vec<TensorSpec> {
@@ -210,17 +215,22 @@ impl TrainState<DetectorConfig> {
         let (grid, objects) = (Grid::new(width, height), self.network.objects);
         let mut found = None;
         let mut stats = self.step_with(|network| {
-            let [class, corners] = network.forward(images);
-            let (logits, offsets) = (values(class.clone()), values(corners.clone()));
-            let output = DetectorOutput { logits: &logits, offsets: &offsets, objects };
+            let outputs = network.forward(images);
+            let [logits, offsets, surface] = outputs.clone().map(values);
+            let output = DetectorOutput { logits: &logits, offsets: &offsets, surface: &surface, objects };
             let loss = detection_loss(&output, truth, &grid, weights);
             // Linear in the outputs: their gradients are the loss's.
             let slope = |values: &[f32], like: &Tensor<3>| {
                 Tensor::<3>::from_data(TensorData::new(values.to_vec(), like.dims()), &device)
             };
-            let (by_class, by_corner) = (slope(&loss.logit_gradient, &class), slope(&loss.offset_gradient, &corners));
+            let gradients = [&loss.logit_gradient, &loss.offset_gradient, &loss.surface_gradient];
+            let terms = outputs.into_iter().zip(gradients).map(|(output, gradient)| {
+                let by_output = slope(gradient, &output);
+                (output * by_output).sum()
+            });
+            let sum = terms.reduce(|a, b| a + b).expect("three outputs");
             found = Some(loss);
-            (class * by_class).sum() + (corners * by_corner).sum()
+            sum
         })?;
         let loss = found.expect("the step computes its loss");
         stats.loss = loss.total;

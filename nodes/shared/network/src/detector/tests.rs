@@ -22,6 +22,7 @@ fn scene(grid: &Grid) -> SceneTruth {
     SceneTruth {
         intrinsics: [110.0, 112.0, 47.5, 31.5],
         owner: grid.cells.iter().map(|c| u8::from(inside(c))).collect(),
+        surface: grid.cells.iter().map(|c| [0.004 * c.centre_px[0], -0.1, 0.2]).collect(),
         instances: vec![InstanceTruth { class: 1, corners_m, diameter_m: 0.35, side_px: 36.0 }],
     }
 }
@@ -45,12 +46,13 @@ fn gradients_are_those_of_finite_differences() {
     let truth = [scene(&grid), SceneTruth { owner: vec![0; cells], ..scene(&grid) }];
     let logits: Vec<f32> = noise(2 * objects * cells, 1).iter().map(|v| 2.0 * v).collect();
     let offsets = noise(2 * objects * 2 * CORNERS * cells, 2);
-    let weights = LossWeights { space: 3.0, image: 2.0 };
-    let loss = |logits: &[f32], offsets: &[f32]| {
-        detection_loss(&DetectorOutput { logits, offsets, objects }, &truth, &grid, &weights)
+    let surface = noise(2 * objects * 3 * cells, 3);
+    let weights = LossWeights { space: 3.0, image: 2.0, surface: 1.5 };
+    let loss = |logits: &[f32], offsets: &[f32], surface: &[f32]| {
+        detection_loss(&DetectorOutput { logits, offsets, surface, objects }, &truth, &grid, &weights)
     };
-    let at = loss(&logits, &offsets);
-    assert!(at.positives > 16 && at.class > 0.0 && at.space_diameters > 0.0 && at.image_sides > 0.0);
+    let at = loss(&logits, &offsets, &surface);
+    assert!(at.positives > 16 && at.class > 0.0 && at.space_diameters > 0.0 && at.image_sides > 0.0 && at.surface_diameters > 0.0);
     let step = 1e-2_f32;
     let mut checked = 0;
     let mut check = |gradient: &[f32], change: &dyn Fn(usize, f32) -> f32| {
@@ -66,8 +68,9 @@ fn gradients_are_those_of_finite_differences() {
         values[i] += by;
         values
     };
-    check(&at.logit_gradient, &|i, by| loss(&moved(&logits, i, by), &offsets).total);
-    check(&at.offset_gradient, &|i, by| loss(&logits, &moved(&offsets, i, by)).total);
+    check(&at.logit_gradient, &|i, by| loss(&moved(&logits, i, by), &offsets, &surface).total);
+    check(&at.offset_gradient, &|i, by| loss(&logits, &moved(&offsets, i, by), &surface).total);
+    check(&at.surface_gradient, &|i, by| loss(&logits, &offsets, &moved(&surface, i, by)).total);
     assert!(checked > 60, "{checked}");
 }
 
@@ -78,12 +81,14 @@ fn a_perfect_answer_costs_nothing_and_a_wrong_class_does() {
     let truth = [scene(&grid)];
     let mut logits = vec![-20.0; objects * cells];
     let mut offsets = vec![0.0; objects * 2 * CORNERS * cells];
+    let mut surface = vec![0.0; objects * 3 * cells];
     let instance = &truth[0].instances[0];
     let [fx, fy, cx, cy] = truth[0].intrinsics;
     for (i, cell) in grid.cells.iter().enumerate().filter(|(i, _)| truth[0].owner[*i] == 1) {
         if Grid::takes(cell.level, instance.side_px) {
             logits[cells + i] = 20.0;
         }
+        (0..3).for_each(|k| surface[(3 + k) * cells + i] = truth[0].surface[i][k] / SURFACE_UNIT);
         for (corner, p) in instance.corners_m.iter().enumerate() {
             let pixel = [fx * p[0] / p[2] + cx, fy * p[1] / p[2] + cy];
             for k in 0..2 {
@@ -92,11 +97,12 @@ fn a_perfect_answer_costs_nothing_and_a_wrong_class_does() {
         }
     }
     let weights = LossWeights::default();
-    let good = detection_loss(&DetectorOutput { logits: &logits, offsets: &offsets, objects }, &truth, &grid, &weights);
+    let output = DetectorOutput { logits: &logits, offsets: &offsets, surface: &surface, objects };
+    let good = detection_loss(&output, &truth, &grid, &weights);
     assert!(good.total < 1e-4, "{good:?}");
     let (background, object) = logits.split_at(cells);
     let swapped = [object, background].concat();
-    let bad = detection_loss(&DetectorOutput { logits: &swapped, offsets: &offsets, objects }, &truth, &grid, &weights);
+    let bad = detection_loss(&DetectorOutput { logits: &swapped, ..output }, &truth, &grid, &weights);
     assert!(bad.class > 1.0, "{}", bad.class);
 }
 

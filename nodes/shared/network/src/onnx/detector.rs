@@ -9,7 +9,7 @@ use crate::model::Model;
 use crate::weights::Weights;
 
 /// The bytes of an ONNX file with input `image` (1, 3, H, W), f32 in [-1, 1], and outputs `classes` (1, objects, cells),
-/// logits, and `corners` (1, 16 objects, cells), offsets as [`crate::Detector::forward`] gives them. The same weights give
+/// logits, `corners` (1, 16 objects, cells) and `surface` (1, 3 objects, cells) as [`crate::Detector::forward`] gives them. The same weights give
 /// the same bytes.
 ///
 /// # Errors
@@ -21,15 +21,14 @@ pub fn export_detector(weights: &Weights, config: &DetectorConfig) -> Result<Vec
     let [width, height] = config.input_px;
     let image = export.graph.input("image", Some(1), &[3, height, width]);
     let levels = export.pyramid(&image);
-    let (mut classes, mut corners) = (Vec::new(), Vec::new());
-    for level in &levels {
-        let tower = (0..TOWER).fold(level.clone(), |x, i| export.conv_relu(&x, &format!("tower.{i}")));
-        classes.push(export.head(&tower, "class", config.objects));
-        corners.push(export.head(&tower, "corners", 2 * CORNERS * config.objects));
-    }
+    let towers: Vec<String> = levels
+        .into_iter()
+        .map(|level| (0..TOWER).fold(level, |x, i| export.conv_relu(&x, &format!("tower.{i}"))))
+        .collect();
     let cells = Grid::new(width, height).cells.len();
-    for (name, parts, channels) in [("classes", classes, config.objects), ("corners", corners, 2 * CORNERS * config.objects)]
-    {
+    let heads = [("classes", "class", 1), ("corners", "corners", 2 * CORNERS), ("surface", "surface", 3)];
+    for (name, conv, channels) in heads.map(|(name, conv, each)| (name, conv, each * config.objects)) {
+        let parts: Vec<String> = towers.iter().map(|tower| export.head(tower, conv, channels)).collect();
         let parts: Vec<&str> = parts.iter().map(String::as_str).collect();
         let all = export.graph.concat(&parts, 2);
         export.graph.output(name, &all, Some(1), &[channels, cells]);

@@ -27,7 +27,7 @@ struct Taken(Vec<(Point3<f64>, f64)>);
 impl Taken {
     /// Whether a ball has room; flat things may come closer than their diameters say.
     fn has_room(&self, centre: &Point3<f64>, radius_m: f64) -> bool {
-        self.0.iter().all(|(other, r)| (centre - other).norm() > 0.65 * (radius_m + r))
+        self.0.iter().all(|(other, r)| (centre - other).norm() > 0.5 * (radius_m + r))
     }
 }
 
@@ -99,7 +99,7 @@ impl Table<'_> {
 
     /// Lying or standing as a box would, or any way round.
     fn orientation(&self, rng: &mut impl Rng) -> UnitQuaternion<f64> {
-        if !self.on_table || rng.chance(0.35) {
+        if !self.on_table || rng.chance(0.15) {
             return rng.rotation();
         }
         let axes = [Vector3::x(), Vector3::y(), Vector3::z(), -Vector3::x(), -Vector3::y(), Vector3::z()];

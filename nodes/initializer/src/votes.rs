@@ -1,0 +1,77 @@
+//! From the network's answer to groups of cells that mean the same instance.
+
+use crate::network::Answer;
+use pseudoflow_network::CORNERS;
+
+/// What one cell says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Vote {
+    /// Place of the object among the network's outputs.
+    pub class: usize,
+    /// How sure the network is, 0..1.
+    pub score: f32,
+    /// Where the corners of the box are seen, pixels of the input, in the order of `Object::box_corners_m`.
+    pub corners_px: [[f32; 2]; CORNERS],
+}
+
+impl Vote {
+    /// Middle and larger side of the box around the corners, pixels.
+    #[must_use]
+    pub fn extent(&self) -> ([f32; 2], f32) {
+        let range = |k: usize| {
+            let along = self.corners_px.iter().map(|c| c[k]);
+            (along.clone().fold(f32::MAX, f32::min), along.fold(f32::MIN, f32::max))
+        };
+        let (x, y) = (range(0), range(1));
+        ([(x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0], (x.1 - x.0).max(y.1 - y.0))
+    }
+}
+
+/// The votes of all cells that are surer than `min_score`, the surest first.
+#[must_use]
+pub fn votes(answer: &Answer<'_>, min_score: f32) -> Vec<Vote> {
+    let cells = answer.grid.cells.len();
+    let mut votes: Vec<Vote> = Vec::new();
+    for (class, logits) in answer.logits.chunks_exact(cells).enumerate() {
+        for (i, logit) in logits.iter().enumerate() {
+            let score = 1.0 / (1.0 + (-logit).exp());
+            if score < min_score {
+                continue;
+            }
+            let cell = &answer.grid.cells[i];
+            let offset = |corner: usize, k: usize| answer.offsets[(class * 2 * CORNERS + 2 * corner + k) * cells + i];
+            let corner = |c: usize| [0, 1].map(|k| cell.centre_px[k] + cell.unit_px * offset(c, k));
+            votes.push(Vote { class, score, corners_px: std::array::from_fn(corner) });
+        }
+    }
+    votes.sort_by(|a, b| b.score.total_cmp(&a.score));
+    votes
+}
+
+/// Votes belong together up to this distance of their middles, in sides.
+const SAME_PLACE: f32 = 0.3;
+/// And up to this ratio of their sides.
+const SAME_SIZE: f32 = 1.7;
+
+/// Groups of votes for one instance each; the surest vote of a group comes first, and the groups are ordered by it.
+#[must_use]
+pub fn group(votes: &[Vote]) -> Vec<Vec<Vote>> {
+    let mut groups: Vec<Vec<Vote>> = Vec::new();
+    for vote in votes {
+        let (at, side) = vote.extent();
+        let same = |group: &&mut Vec<Vote>| {
+            let seed = &group[0];
+            let (seed_at, seed_side) = seed.extent();
+            let away = (at[0] - seed_at[0]).hypot(at[1] - seed_at[1]);
+            seed.class == vote.class
+                && away < SAME_PLACE * seed_side
+                && side < SAME_SIZE * seed_side
+                && seed_side < SAME_SIZE * side
+        };
+        match groups.iter_mut().find(same) {
+            Some(group) => group.push(*vote),
+            None => groups.push(vec![*vote]),
+        }
+    }
+    groups
+}
