@@ -3,6 +3,7 @@
 
 use anyhow::{Context as _, Result, anyhow};
 use pseudoflow_flow::{FlowConfig, FlowNode};
+use pseudoflow_initializer::{InitializerConfig, InitializerNode};
 use pseudoflow_msgs::{
     AlignedBytes, CameraFrame, CameraFrameHeader, FlowFields, FrameKey, Message, ObjectPose, ObjectPoses,
     ReferenceViews,
@@ -61,13 +62,7 @@ fn boxed(error: pseudoflow_runtime::NodeError) -> anyhow::Error {
 
 impl Pipeline {
     pub(crate) fn open(config: PipelineConfig) -> Result<Self> {
-        let context = Context {
-            name: "eval".into(),
-            seed: config.seed,
-            out_dir: std::env::temp_dir(),
-            restarts: 0,
-            replay: true,
-        };
+        let context = context("eval", config.seed);
         RendererNode::check(&config.renderer).map_err(boxed).context("renderer")?;
         FlowNode::check(&config.flow).map_err(boxed).context("flow")?;
         PnpNode::check(&config.pnp).map_err(boxed).context("pnp")?;
@@ -132,6 +127,33 @@ impl Pipeline {
         let bytes = messages.messages.iter().find(|(port, _)| port == "poses").context("pnp sent no poses")?;
         Ok(ObjectPoses::view(&bytes.1)?.poses.to_vec())
     }
+}
+
+/// The initializer in one process.
+pub(crate) struct Finder {
+    node: InitializerNode,
+    context: Context,
+}
+
+impl Finder {
+    pub(crate) fn open(config: InitializerConfig, seed: u64) -> Result<Self> {
+        let context = context("initializer", seed);
+        InitializerNode::check(&config).map_err(boxed).context("initializer")?;
+        Ok(Self { node: InitializerNode::create(config, &context).map_err(boxed).context("initializer")?, context })
+    }
+
+    /// The objects in a frame.
+    pub(crate) fn find(&mut self, frame: &Frame<'_>) -> Result<Vec<ObjectPose>> {
+        let mut messages = InMemory::new(FrameKey { index: frame.index, stamp_ns: 0 });
+        messages.messages.push(("frame".into(), frame_message(frame)));
+        self.node.step(&mut messages, &self.context).context("node initializer")?;
+        let bytes = messages.messages.iter().find(|(port, _)| port == "initial_poses").context("no initial poses")?;
+        Ok(ObjectPoses::view(&bytes.1)?.poses.to_vec())
+    }
+}
+
+fn context(name: &str, seed: u64) -> Context {
+    Context { name: name.into(), seed, out_dir: std::env::temp_dir(), restarts: 0, replay: true }
 }
 
 /// A node that reads from and adds to the frame's messages.

@@ -83,6 +83,10 @@ pub struct Scores {
     pub mspd_recalls: [f64; 10],
     /// Recall at each threshold of VSD (0.05 to 0.5), mean over the tolerances.
     pub vsd_recalls: [f64; 10],
+    /// Share of the instances that are at least 60 % visible whose estimate lies on them: the boxes around both projections
+    /// overlap by half or more (intersection over union). None where no visibility is known.
+    #[serde(default)]
+    pub detection_recall: Option<f64>,
     /// Mean time of an estimate, milliseconds: its share of the image's time.
     pub ms_per_object: Option<f64>,
 }
@@ -118,6 +122,12 @@ pub struct InstanceErrors {
     pub projection_px: Option<f64>,
     /// Whether within 5 cm and 5 degrees.
     pub within_5cm_5deg: bool,
+    /// Visible share of the instance, where the dataset says it.
+    #[serde(default)]
+    pub visible_fraction: Option<f64>,
+    /// Intersection over union of the boxes around the projections of estimate and truth.
+    #[serde(default)]
+    pub box_overlap: Option<f64>,
     /// Whether found with ADD(-S) below a tenth of the diameter.
     pub add_s_correct: bool,
     /// Whether found at each threshold of MSSD.
@@ -178,8 +188,12 @@ impl Scores {
         let share = |f: &dyn Fn(&InstanceErrors) -> bool| mean(&|i| f64::from(u8::from(f(i))));
         let [mssd_recall, mspd_recall, vsd_recall] =
             [mean(&InstanceErrors::mssd_share), mean(&InstanceErrors::mspd_share), mean(&InstanceErrors::vsd_share)];
+        let visible: Vec<&&InstanceErrors> =
+            instances.iter().filter(|i| i.visible_fraction.is_some_and(|v| v >= WELL_VISIBLE)).collect();
+        let on_it = visible.iter().filter(|i| i.box_overlap.is_some_and(|v| v >= 0.5)).count();
         Self {
             n,
+            detection_recall: (!visible.is_empty()).then(|| on_it as f64 / visible.len() as f64),
             with_estimate: instances.iter().filter(|i| i.estimate.is_some()).count(),
             add_s_recall: share(&|i| i.add_s_correct),
             auc_add_s: mean(&InstanceErrors::auc_share),
@@ -198,6 +212,9 @@ impl Scores {
         }
     }
 }
+
+/// What a detector must find.
+const WELL_VISIBLE: f64 = 0.6;
 
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut sorted: Vec<f64> = values.collect();

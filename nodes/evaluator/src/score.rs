@@ -1,6 +1,7 @@
 use crate::depth::{Depths, TestDepth};
 use crate::{EvalDataset, EvalError, EvalImage, EvalModel, InstanceErrors};
-use pseudoflow_geometry::Pose;
+use nalgebra::Point3;
+use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_metrics::{
     Estimate, MatrixPose, add_m, add_threshold_m, adi_m, match_greedy, mspd_px, mspd_scale, mspd_thresholds, mssd_m,
     mssd_thresholds, projection_px, rotation_error_rad, translation_error_m, vsd_thresholds, within_5cm_5deg,
@@ -140,6 +141,7 @@ impl Object<'_> {
             image_id: self.image.frame.image_id,
             object_id: self.object_id,
             instance: self.truth[g] as u32,
+            visible_fraction: self.image.truth[self.truth[g]].visible_fraction,
             ..InstanceErrors::default()
         }
     }
@@ -153,6 +155,8 @@ impl Object<'_> {
     ) -> InstanceErrors {
         let (row, est) = (found.0, &found.1.camera_from_object);
         let gt = self.image.truth[self.truth[g]].camera_from_object;
+        let hull = self.dataset.objects.get(self.object_id).map_or(&[][..], |object| &object.hull_m);
+        let boxes = [est, &gt].map(|pose| projected_box(hull, pose, &self.image.frame.intrinsics));
         let gt = nearest_symmetric(est, &gt, &model.symmetries);
         let finite = |v: f64| Some(v).filter(|v| v.is_finite());
         InstanceErrors {
@@ -165,6 +169,7 @@ impl Object<'_> {
             rotation_deg: Some(rotation_error_rad(est, &gt).to_degrees()),
             translation_m: Some(translation_error_m(est, &gt)),
             projection_px: finite(projection_px(&model.points, est, &gt, &self.image.frame.intrinsics)),
+            box_overlap: overlap(&boxes[0], &boxes[1]),
             within_5cm_5deg: within_5cm_5deg(est, &gt, &[Pose::identity()]),
             ..self.unmatched(g)
         }
@@ -174,6 +179,29 @@ impl Object<'_> {
 /// ADD, or ADI for a symmetric object, metres.
 fn add_s_m(model: &EvalModel, est: &MatrixPose, gt: &MatrixPose) -> f64 {
     if model.symmetric { adi_m(&model.points, est, gt) } else { add_m(&model.points, est, gt) }
+}
+
+/// Lowest and highest x and y of the projected points, pixels; `None` when one is behind the camera.
+fn projected_box(hull_m: &[Point3<f64>], pose: &MatrixPose, camera: &Intrinsics) -> Option<[[f64; 2]; 2]> {
+    let pose = pose.pose();
+    let mut range = [[f64::MAX; 2], [f64::MIN; 2]];
+    for point in hull_m {
+        let pixel = camera.project(&(pose * point))?;
+        for k in 0..2 {
+            (range[0][k], range[1][k]) = (range[0][k].min(pixel[k]), range[1][k].max(pixel[k]));
+        }
+    }
+    Some(range)
+}
+
+/// Intersection over union of two boxes.
+fn overlap(a: &Option<[[f64; 2]; 2]>, b: &Option<[[f64; 2]; 2]>) -> Option<f64> {
+    let (a, b) = ((*a)?, (*b)?);
+    let area = |low: [f64; 2], high: [f64; 2]| (high[0] - low[0]).max(0.0) * (high[1] - low[1]).max(0.0);
+    let low = [0, 1].map(|k| a[0][k].max(b[0][k]));
+    let high = [0, 1].map(|k| a[1][k].min(b[1][k]));
+    let shared = area(low, high);
+    Some(shared / (area(a[0], a[1]) + area(b[0], b[1]) - shared))
 }
 
 /// The truth, turned by the symmetry that brings its rotation nearest to the estimate.

@@ -2,7 +2,7 @@
 
 use crate::InitializerError;
 use crate::votes::Vote;
-use nalgebra::{Point2, Translation3, UnitQuaternion};
+use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::{Object, ObjectSet};
 use pseudoflow_network::CORNERS;
@@ -76,7 +76,7 @@ pub struct Detection {
     pub covariance: [f64; 36],
 }
 
-/// RANSAC sees each corner several times over, and three different ones are needed: no cheap sample.
+/// Most samples of RANSAC.
 const ITERATIONS: usize = 200;
 
 /// The pose of one group of votes (RANSAC-PnP over the pooled corners), if there is one.
@@ -91,9 +91,7 @@ pub fn solve(
     rng: &mut impl Rng,
 ) -> Result<Option<Detection>, InitializerError> {
     let (at, side_px) = votes[0].extent();
-    let corners = object.box_corners_m().map(|c| [c.x as f32, c.y as f32, c.z as f32]);
-    let points: Vec<[f32; 3]> = (0..votes.len()).flat_map(|_| corners).collect();
-    let pixels: Vec<[f32; 2]> = votes.iter().flat_map(|vote| vote.corners_px).collect();
+    let (points, pixels) = pool(votes, object);
     let settings = PnpConfig {
         threshold_px: (config.threshold_sides * f64::from(side_px)).max(1.0),
         max_iterations: ITERATIONS,
@@ -101,7 +99,7 @@ pub fn solve(
         min_inliers: CORNERS,
         min_inlier_ratio: 0.2,
         max_rotation_std_rad: 1.5,
-        points_per_independent_error: votes.len() as f64,
+        points_per_independent_error: (votes.len() as f64 / 4.0).max(1.0),
         ..PnpConfig::default()
     };
     let z_m = intrinsics.fx * object.diameter_m / f64::from(side_px.max(1.0));
@@ -127,6 +125,20 @@ pub fn solve(
         side_px: seen_px,
         covariance: found.covariance,
     }))
+}
+
+/// The points that the votes name and where they see them: the surface point of each, and the corners of so many of the
+/// surest that both kinds weigh alike.
+fn pool(votes: &[Vote], object: &Object) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
+    let to_f32 = |p: Point3<f64>| [p.x as f32, p.y as f32, p.z as f32];
+    let (corners, centre) = (object.box_corners_m().map(to_f32), object.box_centre_m());
+    let on_surface = |vote: &Vote| {
+        let away = Vector3::from(vote.surface).map(f64::from) * object.diameter_m;
+        (to_f32(centre + away), vote.centre_px)
+    };
+    let with_corners = &votes[..votes.len().div_ceil(CORNERS)];
+    let boxes = with_corners.iter().flat_map(|vote| corners.into_iter().zip(vote.corners_px));
+    votes.iter().map(on_surface).chain(boxes).unzip()
 }
 
 /// Middle and larger side of an object's projection; `None` when a part of it is behind the camera.

@@ -15,6 +15,7 @@ pub struct DetectorNetwork {
     planes: Vec<f32>,
     logits: Vec<f32>,
     offsets: Vec<f32>,
+    surface: Vec<f32>,
 }
 
 /// The network's answer to one image.
@@ -24,6 +25,8 @@ pub struct Answer<'a> {
     pub logits: &'a [f32],
     /// (16 objects, cells).
     pub offsets: &'a [f32],
+    /// (3 objects, cells).
+    pub surface: &'a [f32],
     /// The cells.
     pub grid: &'a Grid,
     /// Objects by place.
@@ -52,6 +55,7 @@ impl DetectorNetwork {
             planes: vec![0.0; 3 * width * height],
             logits: vec![0.0; config.objects * cells],
             offsets: vec![0.0; 2 * CORNERS * config.objects * cells],
+            surface: vec![0.0; 3 * config.objects * cells],
             config,
             grid,
             object_ids: info.object_ids,
@@ -85,9 +89,18 @@ impl DetectorNetwork {
         normalise(input.as_raw(), width * height, &mut self.planes);
         let shape = [1, 3, height, width];
         let image = Input { name: "image", shape: &shape, data: &self.planes };
-        let mut outputs =
-            [Output { name: "classes", data: &mut self.logits }, Output { name: "corners", data: &mut self.offsets }];
+        let mut outputs = [
+            Output { name: "classes", data: &mut self.logits },
+            Output { name: "corners", data: &mut self.offsets },
+            Output { name: "surface", data: &mut self.surface },
+        ];
         self.engine.run(&[image], &mut outputs)?;
-        Ok(Answer { logits: &self.logits, offsets: &self.offsets, grid: &self.grid, object_ids: &self.object_ids })
+        Ok(Answer {
+            logits: &self.logits,
+            offsets: &self.offsets,
+            surface: &self.surface,
+            grid: &self.grid,
+            object_ids: &self.object_ids,
+        })
     }
 }

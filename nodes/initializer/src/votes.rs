@@ -1,7 +1,7 @@
 //! From the network's answer to groups of cells that mean the same instance.
 
 use crate::network::Answer;
-use pseudoflow_network::CORNERS;
+use pseudoflow_network::{CORNERS, SURFACE_UNIT};
 
 /// What one cell says.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,6 +12,10 @@ pub struct Vote {
     pub score: f32,
     /// Where the corners of the box are seen, pixels of the input, in the order of `Object::box_corners_m`.
     pub corners_px: [[f32; 2]; CORNERS],
+    /// The centre of the cell, pixels of the input.
+    pub centre_px: [f32; 2],
+    /// The point of the surface that is seen there, diameters from the middle of the object's box.
+    pub surface: [f32; 3],
 }
 
 impl Vote {
@@ -41,7 +45,14 @@ pub fn votes(answer: &Answer<'_>, min_score: f32) -> Vec<Vote> {
             let cell = &answer.grid.cells[i];
             let offset = |corner: usize, k: usize| answer.offsets[(class * 2 * CORNERS + 2 * corner + k) * cells + i];
             let corner = |c: usize| [0, 1].map(|k| cell.centre_px[k] + cell.unit_px * offset(c, k));
-            votes.push(Vote { class, score, corners_px: std::array::from_fn(corner) });
+            let surface = |k: usize| SURFACE_UNIT * answer.surface[(class * 3 + k) * cells + i];
+            votes.push(Vote {
+                class,
+                score,
+                corners_px: std::array::from_fn(corner),
+                centre_px: cell.centre_px,
+                surface: std::array::from_fn(surface),
+            });
         }
     }
     votes.sort_by(|a, b| b.score.total_cmp(&a.score));

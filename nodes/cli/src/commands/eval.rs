@@ -1,5 +1,5 @@
 use super::progress_bar;
-use crate::pipeline::{Frame, Pipeline, PipelineConfig};
+use crate::pipeline::{Finder, Frame, Pipeline, PipelineConfig};
 use anyhow::{Context as _, Result, bail};
 use pseudoflow_evaluator::{
     Difference, EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset, overlays,
@@ -7,6 +7,8 @@ use pseudoflow_evaluator::{
 use pseudoflow_flow::FlowConfig;
 use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
+use pseudoflow_imaging::RgbImage;
+use pseudoflow_initializer::InitializerConfig;
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
 use pseudoflow_pnp::PnpNodeConfig;
@@ -22,15 +24,19 @@ pub(crate) struct Args {
     /// The split: a folder of the dataset, e.g. `test`, or `test_primesense` of T-LESS.
     #[arg(long, default_value = "test")]
     split: String,
-    /// Weights to refine with: `.safetensors` or `.onnx`. Without them, `--csv` is scored.
+    /// Weights to refine with: `.safetensors` or `.onnx`. Without them, what the initializer finds, or else `--csv`, is scored.
     #[arg(long)]
     weights: Option<PathBuf>,
     /// Meshes to render, a BOP `models` folder; without: the dataset's with textures or colours.
     #[arg(long)]
     objects: Option<PathBuf>,
-    /// Initial poses: a BOP result file, or `initializer`. The default is each scene's `init_poses.json`.
+    /// Initial poses: a BOP result file (.csv), or the weights of an initializer (.safetensors), which is then run on every
+    /// image. The default is each scene's `init_poses.json`.
     #[arg(long)]
     init: Option<PathBuf>,
+    /// The network that the initializer's weights belong to: nano, full or a YAML file.
+    #[arg(long, default_value = "nano")]
+    init_network: String,
     /// A target list such as `test_targets_bop19.json`.
     #[arg(long)]
     targets: Option<PathBuf>,
@@ -104,13 +110,21 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
             out: folder.join("compare.html"),
         });
     }
-    if args.weights.is_some() {
+    if args.weights.is_some() || initializer(args).is_some() {
         check_name(args)?;
     }
     let dataset = load_dataset(args.dataset(), &args.split, args.targets.as_deref())?;
-    let sets = match &args.weights {
-        Some(weights) => refine_dataset(args, weights, &dataset)?,
-        None => {
+    let sets = match (&args.weights, initializer(args)) {
+        (Some(weights), _) => refine_dataset(args, weights, &dataset)?,
+        (None, Some(initializer)) => {
+            let estimates = find_all(args, initializer, &dataset)?;
+            let part = args.csv().with_extension("csv.part");
+            let mut writer = ResultsWriter::create(&part)?;
+            writer.write_image(&estimates)?;
+            std::fs::rename(&part, args.csv()).with_context(|| format!("{}: cannot be written", args.csv().display()))?;
+            vec![NamedEstimates { name: "init".into(), estimates }]
+        }
+        (None, None) => {
             let estimates = read_results(args.csv(), Some(&dataset.known))?;
             vec![NamedEstimates { name: "estimate".into(), estimates }]
         }
@@ -145,9 +159,7 @@ fn check_name(args: &Args) -> Result<()> {
 /// Refines every image; the CSV grows image by image beside its place and is renamed when whole.
 fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
     let initial = match &args.init {
-        Some(word) if word.as_os_str() == "initializer" => {
-            bail!("`--init initializer`: this build has no initializer yet: give a BOP result file, or leave it out")
-        }
+        Some(path) if initializer(args).is_some() => find_all(args, path, dataset)?,
         Some(path) => read_results(path, Some(&dataset.known))?,
         None => dataset.initial_estimates(),
     };
@@ -176,13 +188,17 @@ fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<
     ])
 }
 
-fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<PipelineConfig> {
+fn engine(args: &Args) -> Result<EngineConfig> {
     let backend = match args.backend.as_str() {
         "auto" => Backend::Auto,
         "onnxruntime" => Backend::OnnxRuntime,
         "rten" => Backend::Rten,
         other => bail!("`--backend {other}`: write auto, onnxruntime or rten"),
     };
+    Ok(EngineConfig { backend, onnxruntime: args.onnxruntime.clone(), ..EngineConfig::default() })
+}
+
+fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<PipelineConfig> {
     let mut pnp = PnpNodeConfig::default();
     if args.no_gate {
         pnp.gate = None;
@@ -195,7 +211,7 @@ fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result
             size_px: args.size,
             iterations: args.iterations,
             max_batch: 16,
-            engine: EngineConfig { backend, onnxruntime: args.onnxruntime.clone(), ..EngineConfig::default() },
+            engine: engine(args)?,
             lockstep: None,
         },
         pnp,
@@ -204,8 +220,37 @@ fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result
     })
 }
 
-fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Estimate]) -> Result<Vec<Estimate>> {
-    let rgb = image.frame.load_image()?;
+/// The initializer's weights, if they are to give the initial poses.
+fn initializer(args: &Args) -> Option<&Path> {
+    args.init.as_deref().filter(|path| path.extension().is_some_and(|extension| extension == "safetensors"))
+}
+
+/// What the initializer finds in every image.
+fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Estimate>> {
+    let objects = args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone());
+    let config = InitializerConfig {
+        network: args.init_network.clone(),
+        engine: engine(args)?,
+        ..InitializerConfig::new(weights.to_owned(), objects)
+    };
+    let mut finder = Finder::open(config, args.seed)?;
+    let bar = progress_bar(dataset.images.len() as u64, "find");
+    let mut found = Vec::new();
+    for image in &dataset.images {
+        let rgb = image.frame.load_image()?;
+        let start = std::time::Instant::now();
+        let poses = finder.find(&frame(image, &rgb))?;
+        let image_time_s = Some(start.elapsed().as_secs_f64());
+        for pose in &poses {
+            found.push(Estimate { image_time_s, ..estimate(image, pose)? });
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(found)
+}
+
+fn frame<'a>(image: &EvalImage, rgb: &'a RgbImage) -> Frame<'a> {
     let k = &image.frame.intrinsics;
     let header = CameraFrameHeader {
         width: rgb.width(),
@@ -215,22 +260,28 @@ fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Estimate
         intrinsics: [k.fx, k.fy, k.cx, k.cy],
         frame_id: [0; pseudoflow_msgs::FRAME_ID_BYTES],
     };
-    let poses: Vec<ObjectPose> = initial.iter().enumerate().map(|(i, e)| given(e, i as u32)).collect();
     let index = u64::from(image.scene_id) << 32 | u64::from(image.frame.image_id);
-    let refined = pipeline.refine(&Frame { header, rgb: rgb.as_raw(), index }, &poses)?;
+    Frame { header, rgb: rgb.as_raw(), index }
+}
+
+fn estimate(image: &EvalImage, pose: &ObjectPose) -> Result<Estimate> {
+    Ok(Estimate {
+        scene_id: image.scene_id,
+        image_id: image.frame.image_id,
+        object_id: pose.object_id,
+        score: pose.score,
+        camera_from_object: pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m)?.into(),
+        image_time_s: None,
+    })
+}
+
+fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Estimate]) -> Result<Vec<Estimate>> {
+    let rgb = image.frame.load_image()?;
+    let poses: Vec<ObjectPose> = initial.iter().enumerate().map(|(i, e)| given(e, i as u32)).collect();
+    let refined = pipeline.refine(&frame(image, &rgb), &poses)?;
     let image_time_s = Some(refined.stages.iter().sum::<std::time::Duration>().as_secs_f64());
     let last = refined.passes.last().context("`--passes 0`: give at least 1")?;
-    let estimate = |pose: &ObjectPose| -> Result<Estimate> {
-        Ok(Estimate {
-            scene_id: image.scene_id,
-            image_id: image.frame.image_id,
-            object_id: pose.object_id,
-            score: pose.score,
-            camera_from_object: pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m)?.into(),
-            image_time_s,
-        })
-    };
-    last.iter().map(estimate).collect()
+    last.iter().map(|pose| Ok(Estimate { image_time_s, ..estimate(image, pose)? })).collect()
 }
 
 fn given(estimate: &Estimate, instance: u32) -> ObjectPose {
@@ -275,7 +326,23 @@ pub(crate) fn table(report: &Report) -> String {
         .iter()
         .filter_map(|set| report.overall.get(set).map(|s| (set, s)))
         .for_each(|(set, s)| row("all", set, s));
+    text += &found(report);
     text += &made_wrong(report);
+    text
+}
+
+/// How many of the well visible instances were found, and how well they were turned.
+fn found(report: &Report) -> String {
+    let mut text = String::new();
+    for set in &report.sets {
+        let (Some(scores), Some(recall)) =
+            (report.overall.get(set), report.overall.get(set).and_then(|s| s.detection_recall))
+        else {
+            continue;
+        };
+        let degrees = scores.median_rotation_deg.map_or("-".into(), |d| format!("{d:.1} deg"));
+        text += &format!("{set}: found {recall:.3} of what is at least 60 % visible; median rotation error {degrees}\n");
+    }
     text
 }
 

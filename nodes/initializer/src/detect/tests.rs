@@ -26,7 +26,12 @@ fn votes_for(object: &Object, class: usize, at: &Pose, count: usize, wrong: usiz
             let wild = if i < wrong { 25.0 } else { 1.5 };
             [p.x as f32 + noise(wild), p.y as f32 + noise(wild)]
         });
-        Vote { class, score: 0.9 - 0.01 * i as f32, corners_px }
+        // A point of the surface, and its pixel.
+        let point = object.hull_m[7 * i % object.hull_m.len()];
+        let seen = K.project(&(at * point)).unwrap();
+        let surface = ((point - object.box_centre_m()) / object.diameter_m).map(|v| v as f32 + noise(0.02));
+        let centre_px = if i < wrong { [0.0; 2] } else { [seen.x as f32, seen.y as f32] };
+        Vote { class, score: 0.9 - 0.01 * i as f32, corners_px, centre_px, surface: surface.into() }
     };
     (0..count).map(vote).collect()
 }
@@ -91,7 +96,7 @@ fn votes_for_nothing_make_no_pose() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut wild = || [320.0 * rng.random::<f32>(), 240.0 * rng.random::<f32>()];
     let votes: Vec<Vote> =
-        (0..6).map(|_| Vote { class: 0, score: 0.5, corners_px: std::array::from_fn(|_| wild()) }).collect();
+        (0..6).map(|_| Vote { class: 0, score: 0.5, corners_px: std::array::from_fn(|_| wild()), centre_px: wild(), surface: [0.1; 3] }).collect();
     let found = solve(&votes, object, &K, &DetectConfig::default(), &mut ChaCha8Rng::seed_from_u64(6)).unwrap();
     assert!(found.is_none_or(|d| d.score < DetectConfig::default().min_score), "{found:?}");
     let bad = DetectConfig { threshold_sides: 0.0, ..DetectConfig::default() };
