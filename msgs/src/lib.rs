@@ -7,8 +7,9 @@
 //!
 //! | message | producer | consumers |
 //! |---|---|---|
-//! | [`CameraFrame`] | player, bridge | renderer, recorder, (initializer) |
-//! | [`ObjectPoses`] | player (initial), pnp | renderer, bridge, recorder, evaluator |
+//! | [`CameraFrame`] | player, bridge | renderer, recorder, initializer |
+//! | [`ObjectPoses`] | player, initializer (initial), pnp | renderer, bridge, recorder, evaluator, initializer |
+//! | [`ObjectStatuses`] | initializer | bridge, recorder |
 //! | [`ReferenceViews`] | renderer | flow, pnp, consistency, trainer |
 //! | [`FlowFields`] | flow | pnp, consistency, trainer |
 //! | [`PartnerFrames`] | player (training) | renderer |
@@ -25,6 +26,7 @@ mod camera_frame;
 mod flow_fields;
 mod network_weights;
 mod object_poses;
+mod object_statuses;
 mod partner_frames;
 mod pictures;
 mod pseudo_labels;
@@ -35,6 +37,7 @@ pub use flow_fields::{FlowFields, FlowFieldsHeader, FlowFieldsMut};
 pub use layout::{AlignedBytes, MalformedMessage};
 pub use network_weights::{NetworkWeights, NetworkWeightsHeader};
 pub use object_poses::{ObjectPose, ObjectPoses, ObjectPosesHeader, PoseSource, PoseStatus};
+pub use object_statuses::{ObjectStatus, ObjectStatuses, ObjectStatusesHeader, TrackPhase, TrackReason};
 pub use partner_frames::{PartnerFrame, PartnerFrames, PartnerFramesHeader};
 pub use pictures::Pictures;
 pub use pseudo_labels::{InstanceLabels, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut};

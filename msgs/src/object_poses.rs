@@ -12,9 +12,12 @@ pub enum PoseSource {
     Initializer = 1,
     /// The pnp node.
     Refined = 2,
+    /// The initializer's prediction from the frames before.
+    Tracked = 3,
 }
 
-/// What became of an object in a frame. All but `Ok` carry the initial pose on.
+/// What became of an object in a frame. `Ok` and, where the solution was better than its start, `NotSeen` carry a new pose; the
+/// others carry the initial one on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u32)]
 pub enum PoseStatus {
@@ -34,10 +37,12 @@ pub enum PoseStatus {
     Rejected = 6,
     /// The object's crop could not be rendered (outside the image, or behind the camera).
     NotVisible = 7,
+    /// Flow and picture say that the object is not at this pose: nothing of it can be seen there.
+    NotSeen = 8,
 }
 
 impl PoseStatus {
-    const ALL: [Self; 8] = [
+    const ALL: [Self; 9] = [
         Self::Ok,
         Self::TooFewPoints,
         Self::TooFewInliers,
@@ -46,6 +51,7 @@ impl PoseStatus {
         Self::BehindCamera,
         Self::Rejected,
         Self::NotVisible,
+        Self::NotSeen,
     ];
 
     /// The status of a stored number.
@@ -101,7 +107,8 @@ pub struct ObjectPosesHeader {
 
 /// The poses of all known objects in one frame.
 ///
-/// Producers: player (`initial_poses`), pnp (`poses`). Consumers: renderer, bridge, recorder, evaluator.
+/// Producers: player, initializer (`initial_poses`), pnp (`poses`). Consumers: renderer, bridge, recorder, evaluator,
+/// initializer (the poses of the frames before).
 #[derive(Debug, Clone, Copy)]
 pub struct ObjectPoses<'a> {
     /// Count and names.

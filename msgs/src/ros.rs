@@ -9,11 +9,13 @@
 //! | `geometry_msgs/PoseStamped` and its parts | `pose`, `pose_stamped` |
 //! | `vision_msgs/Detection3DArray` | `detection3d_array` |
 //! | `tf2_msgs/TFMessage` | `tf_message` |
+//! | `diagnostic_msgs/DiagnosticArray` | `diagnostics` |
 
 mod camera_info;
 mod cdr;
 mod compressed_image;
 mod detection3d_array;
+mod diagnostics;
 mod header;
 mod image;
 mod object_poses;
@@ -26,6 +28,7 @@ pub use camera_info::{CameraInfo, IntrinsicsError, RegionOfInterest};
 pub use cdr::{CdrError, from_cdr, to_cdr};
 pub use compressed_image::CompressedImage;
 pub use detection3d_array::{BoundingBox3D, Detection3D, Detection3DArray, ObjectHypothesis, ObjectHypothesisWithPose};
+pub use diagnostics::{DiagnosticArray, DiagnosticStatus, KeyValue, diagnostics};
 pub use header::{Header, Time};
 pub use image::{Image, ImageError};
 pub use object_poses::{DetectionError, Naming, best_pose, detections, object_poses, pose_stamped, transforms};

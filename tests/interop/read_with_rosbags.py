@@ -59,6 +59,8 @@ def check(connection, message, sizes):
             check_pose(detection.results[0].pose.pose)
     elif kind == "TFMessage":
         assert all(t.child_frame_id.startswith("object_") for t in message.transforms)
+    elif kind == "DiagnosticArray":
+        assert all(s.name.startswith("object_") and s.message for s in message.status)
     else:
         raise AssertionError(f"no check for {connection.msgtype}")
 

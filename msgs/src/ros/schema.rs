@@ -4,7 +4,9 @@
 //! it depends on behind lines of 80 `=`. The hashes (RIHS01 of REP 2011) were computed by `rosbags`' type store from
 //! the same definitions; `tests/interop/read_with_rosbags.py` computes them again from what a bag holds.
 
-use super::{CameraInfo, CompressedImage, Detection3DArray, Image, PoseStamped, RosMessage, TFMessage};
+use super::{
+    CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Image, PoseStamped, RosMessage, TFMessage,
+};
 
 /// A message type that bags can hold.
 pub trait BagMessage: RosMessage {
@@ -45,6 +47,11 @@ bag_message!(
     "../../msg/Detection3DArray.msg",
     "793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018"
 );
+bag_message!(
+    DiagnosticArray,
+    "../../msg/DiagnosticArray.msg",
+    "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
+);
 
 #[cfg(test)]
 mod tests {
@@ -72,5 +79,6 @@ mod tests {
         complete::<PoseStamped>();
         complete::<TFMessage>();
         complete::<Detection3DArray>();
+        complete::<DiagnosticArray>();
     }
 }

@@ -1,7 +1,7 @@
 use crate::camera::{self, Camera, Picture};
 use crate::{BridgeConfig, BridgeError, DdsEnvironment, Participant, PosePublisher};
 use pseudoflow_msgs::ros::{Naming, object_poses};
-use pseudoflow_msgs::{CameraFrame, CameraFrameHeader, FrameKey, ObjectPose, ObjectPoses};
+use pseudoflow_msgs::{CameraFrame, CameraFrameHeader, FrameKey, ObjectPose, ObjectPoses, ObjectStatuses};
 use pseudoflow_runtime::{Context, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Role, read};
 use std::time::Duration;
 
@@ -31,7 +31,10 @@ impl Node for Bridge {
     type Config = BridgeConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::optional::<ObjectPoses>("poses"), PortSpec::optional::<CameraFrame>("frame")]
+        vec![PortSpec::optional::<ObjectPoses>("poses"),
+            PortSpec::optional::<CameraFrame>("frame"),
+            PortSpec::optional::<ObjectStatuses>("status"),
+        ]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -64,7 +67,11 @@ impl Node for Bridge {
             }
             (None, None) => return Err(MissingInput("frame").into()),
         };
-        Ok(self.publisher.publish(key, frame_id, poses.poses)?)
+        let statuses = match inputs.bytes("status") {
+            Some(_) => Some(read::<ObjectStatuses>(inputs, "status")?.statuses),
+            None => None,
+        };
+        Ok(self.publisher.publish(key, frame_id, poses.poses, statuses)?)
     }
 
     fn poll(&mut self, outputs: &mut dyn Outputs, _: &Context) -> Result<Produced, NodeError> {

@@ -1,10 +1,10 @@
 use crate::participant::topic_name;
 use crate::{BridgeConfig, BridgeError, Participant, publisher_qos};
 use pseudoflow_msgs::ros::{
-    Detection3DArray, Header, Naming, PoseStamped, RosMessage, TFMessage, Time, best_pose, detections, pose_stamped,
-    transforms,
+    Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped, RosMessage, TFMessage, Time, best_pose, detections, diagnostics,
+    pose_stamped, transforms,
 };
-use pseudoflow_msgs::{FrameKey, ObjectPose};
+use pseudoflow_msgs::{FrameKey, ObjectPose, ObjectStatus};
 use ros2_client::{Publisher, WriteError};
 
 /// What has been published.
@@ -23,6 +23,7 @@ pub struct PosePublisher {
     object_pose: Publisher<PoseStamped>,
     object_poses: Publisher<Detection3DArray>,
     tf: Publisher<TFMessage>,
+    object_status: Publisher<DiagnosticArray>,
     object_id: Option<u32>,
     naming: Naming,
     published: Published,
@@ -39,18 +40,26 @@ impl PosePublisher {
             object_pose: participant.publisher(&config.topic("object_pose")?, &qos)?,
             object_poses: participant.publisher(&config.topic("object_poses")?, &qos)?,
             tf: participant.publisher(&topic_name("tf", "/tf")?, &qos)?,
+            object_status: participant.publisher(&config.topic("object_status")?, &qos)?,
             object_id: config.object_id,
             naming: config.naming()?,
             published: Published::default(),
         })
     }
 
-    /// Publishes the poses (`camera_from_object`) of one frame with the image's stamp and optical frame.
+    /// Publishes the poses (`camera_from_object`) of one frame with the image's stamp and optical frame, and the tracks where
+    /// the graph has some.
     ///
     /// # Errors
     /// When the stamp does not fit into ROS time or DDS fails. A subscriber that is too slow is no error: what it
     /// would not take is given up, counted and logged.
-    pub fn publish(&mut self, key: FrameKey, frame_id: &str, poses: &[ObjectPose]) -> Result<(), BridgeError> {
+    pub fn publish(
+        &mut self,
+        key: FrameKey,
+        frame_id: &str,
+        poses: &[ObjectPose],
+        statuses: Option<&[ObjectStatus]>,
+    ) -> Result<(), BridgeError> {
         let header = header(key, frame_id)?;
         let mut given_up = 0;
         if let Some(best) = best_pose(poses, self.object_id) {
@@ -59,6 +68,9 @@ impl PosePublisher {
         }
         given_up += send("object_poses", &self.object_poses, detections(&header, poses, &self.naming))?;
         given_up += send("tf", &self.tf, transforms(&header, poses))?;
+        if let Some(statuses) = statuses {
+            given_up += send("object_status", &self.object_status, diagnostics(&header, statuses))?;
+        }
         if given_up > 0 {
             self.published.given_up += given_up;
             log::warn!(

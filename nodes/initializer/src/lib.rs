@@ -9,6 +9,7 @@ mod error;
 mod fit;
 mod network;
 mod node;
+pub mod track;
 pub mod votes;
 
 pub use error::InitializerError;

@@ -1,15 +1,19 @@
 use crate::detect::{DetectConfig, Detection, detect};
 use crate::network::DetectorNetwork;
+use crate::track::{Predicted, TrackConfig, Tracker};
 use crate::votes::{group, votes};
 use crate::InitializerError;
 use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_inference::EngineConfig;
-use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses, PoseSource, PoseStatus};
+use pseudoflow_msgs::{
+    CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus,
+};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use rand::Rng;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 use std::path::PathBuf;
 
 /// Settings of the initializer node.
@@ -26,6 +30,10 @@ pub struct InitializerConfig {
     /// How poses are made of the network's answer.
     #[serde(default)]
     pub detect: DetectConfig,
+    /// Follows objects from frame to frame; `poses` must then be the refined poses (feedback). Without it each image is
+    /// searched.
+    #[serde(default)]
+    pub track: Option<TrackConfig>,
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
@@ -40,7 +48,7 @@ impl InitializerConfig {
     #[must_use]
     pub fn new(model: PathBuf, objects: PathBuf) -> Self {
         let (detect, engine) = (DetectConfig::default(), EngineConfig::default());
-        Self { model, objects, network: default_network(), detect, engine }
+        Self { model, objects, network: default_network(), detect, track: None, engine }
     }
 }
 
@@ -49,9 +57,90 @@ pub struct InitializerNode {
     config: InitializerConfig,
     network: DetectorNetwork,
     objects: ObjectSet,
+    following: Option<Following>,
+}
+
+/// Tracks, and what was sent of late.
+struct Following {
+    tracker: Tracker,
+    /// Nothing may be lost: a frame waits for the refined poses of the one before.
+    lossless: bool,
+    sent: VecDeque<Sent>,
+    /// Scene and image whose refined poses were learned last.
+    learned: Option<(u32, u32)>,
+}
+
+/// What was sent for a frame: another node's death may bring it back.
+struct Sent {
+    key: FrameKey,
+    image: (u32, u32),
+    searched: bool,
+    poses: Vec<ObjectPose>,
+    statuses: Vec<ObjectStatus>,
+}
+
+/// Frames that are remembered; more than are in flight.
+const REMEMBERED: usize = 128;
+
+impl Following {
+    /// Learns from the newest refined poses, each time once.
+    fn learn(&mut self, refined: &ObjectPoses<'_>) {
+        let image = (refined.header.scene_id, refined.header.image_id);
+        let sent = self.sent.iter().find(|sent| sent.image == image);
+        if let (Some(sent), true) = (sent, self.learned != Some(image)) {
+            self.tracker.learn(refined.poses, sent.key.stamp_ns);
+            self.learned = Some(image);
+        }
+    }
+
+    fn remember(&mut self, sent: Sent) {
+        self.sent.push_back(sent);
+        if self.sent.len() > REMEMBERED {
+            self.sent.pop_front();
+        }
+    }
 }
 
 impl InitializerNode {
+    /// The objects in a frame, the surest first.
+    fn search(
+        &mut self,
+        frame: &CameraFrame<'_>,
+        key: FrameKey,
+        context: &Context,
+    ) -> Result<Vec<Detection>, NodeError> {
+        let (width, height) = (frame.header.width, frame.header.height);
+        let [fx, fy, cx, cy] = frame.header.intrinsics;
+        let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
+        self.find(&image, &Intrinsics { fx, fy, cx, cy }, &mut context.rng(key.index, "ransac"))
+    }
+
+    /// Predictions for a frame, with a search of the image where the tracks want it. A frame that comes again gets what it
+    /// got before.
+    fn follow(
+        &mut self,
+        following: &mut Following,
+        frame: &CameraFrame<'_>,
+        inputs: &dyn Inputs,
+        context: &Context,
+    ) -> Result<Sent, NodeError> {
+        let key = inputs.key();
+        if let Some(at) = following.sent.iter().position(|sent| sent.key.index == key.index) {
+            let Sent { image, searched, ref poses, ref statuses, .. } = following.sent[at];
+            return Ok(Sent { key, image, searched, poses: poses.clone(), statuses: statuses.clone() });
+        }
+        if inputs.bytes("poses").is_some() {
+            following.learn(&read::<ObjectPoses<'static>>(inputs, "poses")?);
+        }
+        let searched = following.tracker.wants_search();
+        if searched {
+            following.tracker.found(&self.search(frame, key, context)?, key.stamp_ns);
+        }
+        let poses = predictions(&following.tracker.predict(key.stamp_ns));
+        let image = (frame.header.scene_id, frame.header.image_id);
+        Ok(Sent { key, image, searched, poses, statuses: following.tracker.statuses() })
+    }
+
     /// The objects in an image, the surest first.
     fn find(&mut self, image: &RgbImage, camera: &Intrinsics, rng: &mut impl Rng) -> Result<Vec<Detection>, NodeError> {
         let fit = self.network.fit(image.width(), image.height());
@@ -60,6 +149,21 @@ impl InitializerNode {
         let camera = fit.intrinsics(camera);
         Ok(detect(&groups, answer.object_ids, &self.objects, &camera, &self.config.detect, rng)?)
     }
+}
+
+/// Predictions as poses.
+fn predictions(predicted: &[Predicted]) -> Vec<ObjectPose> {
+    let pose = |p: &Predicted| ObjectPose {
+        object_id: p.object_id,
+        instance: p.instance,
+        status: PoseStatus::Ok as u32,
+        source: if p.tracked { PoseSource::Tracked } else { PoseSource::Initializer } as u32,
+        score: p.score,
+        rotation_xyzw: quaternion_xyzw(&p.camera_from_object),
+        translation_m: p.camera_from_object.translation.vector.into(),
+        covariance: [0.0; 36],
+    };
+    predicted.iter().map(pose).collect()
 }
 
 /// Detections as poses, numbered by object.
@@ -86,15 +190,22 @@ impl Node for InitializerNode {
     type Config = InitializerConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<CameraFrame<'static>>("frame")]
+        vec![
+            PortSpec::required::<CameraFrame<'static>>("frame"),
+            PortSpec::latest::<ObjectPoses<'static>>("poses"),
+        ]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<ObjectPoses<'static>>("initial_poses")]
+        vec![
+            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
+            PortSpec::optional::<ObjectStatuses<'static>>("status"),
+        ]
     }
 
     fn check(config: &InitializerConfig) -> Result<(), NodeError> {
         config.detect.check()?;
+        config.track.as_ref().map_or(Ok(()), TrackConfig::check)?;
         if !config.model.is_file() {
             let cause = "no such file".to_owned();
             return Err(InitializerError::Model { path: config.model.clone(), cause }.into());
@@ -106,7 +217,7 @@ impl Node for InitializerNode {
         Ok(())
     }
 
-    fn create(config: InitializerConfig, _: &Context) -> Result<Self, NodeError> {
+    fn create(config: InitializerConfig, context: &Context) -> Result<Self, NodeError> {
         let objects = ObjectSet::load(&config.objects)?;
         let mut network = DetectorNetwork::open(&config.model, &config.network, &config.engine)?;
         let known = objects.ids();
@@ -117,19 +228,57 @@ impl Node for InitializerNode {
         // The first frame finds memory and kernels ready.
         let grey = network.fit(64, 48).input(&RgbImage::new(64, 48));
         network.run(&grey)?;
-        Ok(Self { config, network, objects })
+        let following = config.track.clone().map(|track| Following {
+            tracker: Tracker::new(track, &objects, config.detect.max_instances),
+            lossless: context.replay,
+            sent: VecDeque::new(),
+            learned: None,
+        });
+        Ok(Self { config, network, objects, following })
+    }
+
+    fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
+        let Some(following) = self.following.as_ref().filter(|following| following.lossless) else { return Ok(true) };
+        let index = inputs.key().index;
+        let Some(last) = following.sent.back().filter(|last| last.key.index < index) else { return Ok(true) };
+        if inputs.bytes("poses").is_none() {
+            log::debug!("frame {index} waits for the refined poses of the one before: connect `poses` as feedback");
+            return Ok(false);
+        }
+        let header = read::<ObjectPoses<'static>>(inputs, "poses")?.header;
+        Ok((header.scene_id, header.image_id) == last.image)
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
-        let (width, height) = (frame.header.width, frame.header.height);
-        let [fx, fy, cx, cy] = frame.header.intrinsics;
-        let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
-        let mut rng = context.rng(inputs.key().index, "ransac");
-        let found = poses(&self.find(&image, &Intrinsics { fx, fy, cx, cy }, &mut rng)?);
-        let (scene_id, image_id) = (frame.header.scene_id, frame.header.image_id);
-        outputs.send("initial_poses", inputs.key(), ObjectPoses::byte_len(found.len()), &mut |bytes| {
-            ObjectPoses::write(bytes, scene_id, image_id, &found);
-        })
+        let image = (frame.header.scene_id, frame.header.image_id);
+        let sent = match self.following.take() {
+            None => {
+                let poses = poses(&self.search(&frame, inputs.key(), context)?);
+                Sent { key: inputs.key(), image, searched: true, poses, statuses: Vec::new() }
+            }
+            Some(mut following) => {
+                let sent = self.follow(&mut following, &frame, inputs, context);
+                self.following = Some(following);
+                sent?
+            }
+        };
+        send(outputs, &sent)?;
+        if let Some(following) = &mut self.following
+            && following.sent.back().is_none_or(|last| last.key.index < sent.key.index)
+        {
+            following.remember(sent);
+        }
+        Ok(())
     }
+}
+
+fn send(outputs: &mut dyn Outputs, sent: &Sent) -> Result<(), NodeError> {
+    let (scene_id, image_id) = sent.image;
+    outputs.send("initial_poses", sent.key, ObjectPoses::byte_len(sent.poses.len()), &mut |bytes| {
+        ObjectPoses::write(bytes, scene_id, image_id, &sent.poses);
+    })?;
+    outputs.send("status", sent.key, ObjectStatuses::byte_len(sent.statuses.len()), &mut |bytes| {
+        ObjectStatuses::write(bytes, sent.searched, &sent.statuses);
+    })
 }

@@ -3,7 +3,7 @@ use crate::topics::{Extras, FrameWriter, Topics, jpeg};
 use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::RgbImage;
 use pseudoflow_msgs::ros::{Header, Time};
-use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, Pictures};
+use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
 use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
@@ -57,6 +57,7 @@ impl RecorderNode {
         let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
         let initial = optional::<ObjectPoses<'static>>(inputs, "initial_poses")?.map(|message| message.poses);
         let poses = optional::<ObjectPoses<'static>>(inputs, "poses")?.map(|message| message.poses);
+        let statuses = optional::<ObjectStatuses<'static>>(inputs, "status")?.map(|message| message.statuses);
         let shown = optional::<Pictures<'static>>(inputs, "pictures")?;
         let period_ns = self.config.period_ms.map(|ms| i64::from(ms) * 1_000_000);
         let stamp_ns = period_ns.map_or(inputs.key().stamp_ns, |ns| ns * i64::from(sequence));
@@ -72,6 +73,7 @@ impl RecorderNode {
             initial_poses: initial.is_some(),
             poses: poses.is_some(),
             overlay: overlay.is_some(),
+            statuses: statuses.is_some(),
         };
         let (bag, topics) = self.open(extras)?;
         let mut writer = FrameWriter { bag, topics, header, stamp_ns, sequence };
@@ -83,6 +85,9 @@ impl RecorderNode {
         }
         if let Some(poses) = poses {
             writer.poses(poses)?;
+        }
+        if let Some(statuses) = statuses {
+            writer.statuses(statuses)?;
         }
         for (name, bytes) in shown.iter().flat_map(|shown| &shown.pictures) {
             writer.picture(name, bytes.to_vec())?;
@@ -149,6 +154,7 @@ impl Node for RecorderNode {
             PortSpec::optional::<ObjectPoses<'static>>("poses"),
             PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
             PortSpec::optional::<Pictures<'static>>("pictures"),
+            PortSpec::optional::<ObjectStatuses<'static>>("status"),
         ]
     }
 

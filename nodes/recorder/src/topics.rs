@@ -1,9 +1,9 @@
 use pseudoflow_imaging::{RgbImage, encode_jpeg};
 use pseudoflow_msgs::ros::{
-    CameraInfo, CompressedImage, Detection3DArray, Header, Naming, PoseStamped, TFMessage, best_pose, detections,
-    pose_stamped, transforms,
+    CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped, TFMessage, best_pose, detections,
+    diagnostics, pose_stamped, transforms,
 };
-use pseudoflow_msgs::{CameraFrameHeader, ObjectPose};
+use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, ObjectStatus};
 use pseudoflow_runtime::NodeError;
 use pseudoflow_runtime::bag::{BagWriter, Qos, TopicId};
 use std::collections::BTreeMap;
@@ -14,6 +14,7 @@ pub(crate) struct Topics {
     initial_poses: Option<TopicId>,
     poses: Option<PoseTopics>,
     overlay: Option<TopicId>,
+    object_status: Option<TopicId>,
     /// Of other nodes, by name: made when the first comes.
     pictures: BTreeMap<String, TopicId>,
 }
@@ -31,6 +32,7 @@ pub(crate) struct Extras {
     pub(crate) initial_poses: bool,
     pub(crate) poses: bool,
     pub(crate) overlay: bool,
+    pub(crate) statuses: bool,
 }
 
 /// Where messages of a frame go.
@@ -57,13 +59,15 @@ impl Topics {
             extras.poses.then(|| bag.add_topic::<Detection3DArray>("/object_poses", Qos::RELIABLE)).transpose()?;
         let overlay = extras.overlay.then(|| bag.add_topic::<CompressedImage>("/overlay/compressed", Qos::SENSOR_DATA));
         let overlay = overlay.transpose()?;
+        let object_status = extras.statuses.then(|| bag.add_topic::<DiagnosticArray>("/object_status", Qos::RELIABLE));
+        let object_status = object_status.transpose()?;
         let mut poses = None;
         if let Some(object_poses) = object_poses {
             let object_pose = bag.add_topic::<PoseStamped>("/object_pose", Qos::RELIABLE)?;
             poses =
                 Some(PoseTopics { object_poses, object_pose, tf: bag.add_topic::<TFMessage>("/tf", Qos::RELIABLE)? });
         }
-        Ok(Self { image, initial_poses, poses, overlay, pictures: BTreeMap::new() })
+        Ok(Self { image, initial_poses, poses, overlay, object_status, pictures: BTreeMap::new() })
     }
 }
 
@@ -102,6 +106,12 @@ impl FrameWriter<'_> {
         let Some(topic) = self.topics.initial_poses else { return Ok(()) };
         let message = detections(&self.header, poses, &Naming::default());
         Ok(self.bag.write(topic, self.stamp_ns, self.sequence, &message)?)
+    }
+
+    /// `/object_status`.
+    pub(crate) fn statuses(&mut self, statuses: &[ObjectStatus]) -> Result<(), NodeError> {
+        let Some(topic) = self.topics.object_status else { return Ok(()) };
+        Ok(self.bag.write(topic, self.stamp_ns, self.sequence, &diagnostics(&self.header, statuses))?)
     }
 
     /// `/object_poses`, `/tf`, and `/object_pose` where a pose stands.

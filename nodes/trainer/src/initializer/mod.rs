@@ -174,12 +174,20 @@ fn open(
 fn start_weights(config: &InitializerTraining, network: &DetectorConfig) -> Result<Weights, TrainerError> {
     Ok(match &config.warm_start {
         WarmStart::Random => Weights::random(network, config.seed),
-        WarmStart::File(path) => Weights::load(path, network)?,
+        WarmStart::File(path) => start_from_file(path, network, config.seed)?,
         WarmStart::Auto => {
             let raft = Weights::load(Path::new(SHIPPED_WEIGHTS), &NetworkConfig::small())?;
             Weights::detector_from_raft(network, &raft, config.seed)?
         }
     })
+}
+
+/// Weights of an initializer, or of a flow network of RAFT-small's shape, whose feature encoder is taken.
+fn start_from_file(path: &Path, network: &DetectorConfig, seed: u64) -> Result<Weights, TrainerError> {
+    match Weights::load(path, &NetworkConfig::small()) {
+        Ok(raft) => Ok(Weights::detector_from_raft(network, &raft, seed)?),
+        Err(_) => Ok(Weights::load(path, network)?),
+    }
 }
 
 /// What decides the weights: the configuration without what may change on resuming.

@@ -71,6 +71,17 @@ impl Sensor {
         }
     }
 
+    /// The camera when its images are scaled by `factor` (at most 1): blur, motion and noise shrink with them.
+    pub(super) fn scaled(self, factor: f32) -> Self {
+        Self {
+            blur_px: factor * self.blur_px,
+            motion_px: self.motion_px.map(|v| factor * v),
+            read_noise: factor * self.read_noise,
+            shot_noise: factor * factor * self.shot_noise,
+            ..self
+        }
+    }
+
     /// The camera's image of a scene.
     pub(super) fn expose(&self, scene: &LinearImage, rng: &mut impl Rng) -> Result<RgbImage, ImagingError> {
         let mut image = scene.clone();

@@ -122,7 +122,8 @@ impl SceneGenerator {
         let (scene, placed) = SyntheticScene::draw_whole(&mut rng, &self.objects, &intrinsics, &self.config)?;
         let window = Window::whole(&intrinsics, self.config.image_px);
         let picture = scene.render(&window);
-        let image = Sensor::draw(&mut rng).expose(&picture.light, &mut rng)?;
+        // Sensors are drawn for images of 640 pixels.
+        let image = Sensor::draw(&mut rng).scaled((width as f32 / 640.0).min(1.0)).expose(&picture.light, &mut rng)?;
         let (owner, depth_m) = owners(&picture.visible, &window, placed.len());
         let instance = |p: &super::scene::Placed| SceneInstance {
             object_id: p.object_id,

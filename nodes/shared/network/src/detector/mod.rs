@@ -172,7 +172,8 @@ impl Model for DetectorConfig {
 }
 
 impl Weights {
-    /// Random weights, but the trunk from the feature encoder of RAFT-small.
+    /// Random weights, but the trunk from the feature encoder of RAFT-small: as its authors trained it, or that of a flow
+    /// network for the same objects.
     ///
     /// # Errors
     /// `raft_small` belongs to another architecture.

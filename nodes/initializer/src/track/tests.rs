@@ -1,0 +1,171 @@
+use super::*;
+use nalgebra::{Point2, Translation3, UnitQuaternion, Vector3};
+use pseudoflow_geometry::quaternion_xyzw;
+use pseudoflow_msgs::PoseSource;
+use std::path::Path;
+
+const MUSTARD: u32 = 2;
+const STEP_NS: i64 = 40_000_000;
+
+fn tracker(max_instances: usize) -> Tracker {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/objects/tabletop");
+    Tracker::new(TrackConfig::default(), &ObjectSet::load(&folder).unwrap(), max_instances)
+}
+
+fn at(x_m: f64, turn_rad: f64) -> Pose {
+    Pose::from_parts(
+        Translation3::new(x_m, 0.0, 0.8),
+        UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 1.0, 0.2) * turn_rad),
+    )
+}
+
+fn detection(pose: Pose) -> Detection {
+    Detection {
+        object_id: MUSTARD,
+        camera_from_object: pose,
+        score: 0.6,
+        centre_px: Point2::origin(),
+        side_px: 50.0,
+        covariance: [0.0; 36],
+    }
+}
+
+/// What pnp makes of a prediction when the object is in truth at `pose`.
+fn refined(predicted: &Predicted, pose: Pose, status: PoseStatus) -> ObjectPose {
+    ObjectPose {
+        object_id: predicted.object_id,
+        instance: predicted.instance,
+        status: status as u32,
+        source: PoseSource::Refined as u32,
+        score: 0.8,
+        rotation_xyzw: quaternion_xyzw(&pose),
+        translation_m: pose.translation.vector.into(),
+        covariance: [0.0; 36],
+    }
+}
+
+fn status(tracker: &Tracker) -> (u32, u32) {
+    let found = tracker.statuses().into_iter().find(|s| s.object_id == MUSTARD).unwrap();
+    (found.phase, found.reason)
+}
+
+/// One frame: search if wanted and `seen`, predict, refine, learn. Returns whether it searched.
+fn frame(tracker: &mut Tracker, index: i64, pose: Pose, seen: bool) -> bool {
+    let stamp_ns = index * STEP_NS;
+    let searched = tracker.wants_search();
+    if searched {
+        tracker.found(&if seen { vec![detection(pose)] } else { vec![] }, stamp_ns);
+    }
+    let status = if seen { PoseStatus::Ok } else { PoseStatus::NotSeen };
+    let poses: Vec<ObjectPose> = tracker.predict(stamp_ns).iter().map(|p| refined(p, pose, status)).collect();
+    tracker.learn(&poses, stamp_ns);
+    searched
+}
+
+#[test]
+fn a_detection_is_confirmed_then_tracked_then_lost_then_found_again_under_its_number() {
+    let mut tracker = tracker(1);
+    assert_eq!(status(&tracker), (TrackPhase::Searching as u32, TrackReason::NotFound as u32));
+    frame(&mut tracker, 0, at(0.0, 0.5), true);
+    assert_eq!(status(&tracker), (TrackPhase::Searching as u32, TrackReason::Detected as u32));
+    frame(&mut tracker, 1, at(0.0, 0.5), true);
+    assert_eq!(status(&tracker), (TrackPhase::Tracking as u32, TrackReason::Confirmed as u32));
+    // Two bad frames are forgiven, the third is not.
+    frame(&mut tracker, 2, at(0.0, 0.5), false);
+    frame(&mut tracker, 3, at(0.0, 0.5), false);
+    assert_eq!(status(&tracker), (TrackPhase::Tracking as u32, TrackReason::NotSeen as u32));
+    frame(&mut tracker, 4, at(0.0, 0.5), false);
+    assert_eq!(status(&tracker), (TrackPhase::Lost as u32, TrackReason::NotSeen as u32));
+    assert!(tracker.predict(5 * STEP_NS).is_empty(), "nothing is predicted for what is lost");
+    for index in 5..35 {
+        assert!(frame(&mut tracker, index, at(0.0, 0.5), false), "all is lost: each image is searched");
+    }
+    frame(&mut tracker, 35, at(0.3, 1.5), true);
+    frame(&mut tracker, 36, at(0.3, 1.5), true);
+    assert_eq!(status(&tracker), (TrackPhase::Tracking as u32, TrackReason::Confirmed as u32));
+    assert_eq!(tracker.predict(37 * STEP_NS)[0].instance, 0);
+}
+
+#[test]
+fn predictions_follow_a_constant_velocity() {
+    let mut tracker = tracker(1);
+    tracker.config.velocity_gain = 1.0;
+    let moving = |i: i64| at(0.01 * i as f64, 0.02 * i as f64);
+    for i in 0..6 {
+        frame(&mut tracker, i, moving(i), true);
+    }
+    let predicted = tracker.predict(6 * STEP_NS)[0];
+    assert!(predicted.tracked);
+    // The turn bends the path in the object's frame a little.
+    let away_m = (predicted.camera_from_object.translation.vector - moving(6).translation.vector).norm();
+    assert!(away_m < 5e-4, "{away_m}");
+    assert!(rotation_angle_rad(&predicted.camera_from_object, &moving(6)) < 1e-6);
+    // After a long gap it is where it was.
+    let later = tracker.predict(6 * STEP_NS + 2_000_000_000)[0];
+    assert!((later.camera_from_object.translation.vector - moving(5).translation.vector).norm() < 1e-12);
+}
+
+#[test]
+fn jumps_and_weak_poses_are_bad_frames() {
+    let mut tracker = tracker(1);
+    for i in 0..3 {
+        frame(&mut tracker, i, at(0.0, 0.5), true);
+    }
+    let predicted = tracker.predict(3 * STEP_NS);
+    tracker.learn(&[refined(&predicted[0], at(0.3, 0.5), PoseStatus::Ok)], 3 * STEP_NS);
+    assert_eq!(status(&tracker), (TrackPhase::Tracking as u32, TrackReason::Jumped as u32));
+    let weak = ObjectPose { score: 0.1, ..refined(&predicted[0], at(0.0, 0.5), PoseStatus::Ok) };
+    tracker.learn(&[weak], 4 * STEP_NS);
+    assert_eq!(status(&tracker), (TrackPhase::Tracking as u32, TrackReason::NotSeen as u32));
+    tracker.learn(&[refined(&predicted[0], at(0.0, 0.5), PoseStatus::NotVisible)], 5 * STEP_NS);
+    assert_eq!(status(&tracker), (TrackPhase::Lost as u32, TrackReason::LeftImage as u32));
+}
+
+#[test]
+fn a_detection_that_is_not_confirmed_is_dropped_at_once() {
+    let mut tracker = tracker(1);
+    tracker.found(&[detection(at(0.0, 0.5))], 0);
+    let predicted = tracker.predict(0);
+    assert!(!predicted[0].tracked);
+    tracker.learn(&[refined(&predicted[0], at(0.0, 0.5), PoseStatus::NotSeen)], 0);
+    assert!(tracker.predict(STEP_NS).is_empty());
+    assert_eq!(status(&tracker), (TrackPhase::Searching as u32, TrackReason::NotSeen as u32));
+}
+
+#[test]
+fn searches_are_rare_while_something_is_tracked() {
+    let mut tracker = tracker(1);
+    // Four of the five objects are never there.
+    let searches = (0..42).filter(|i| frame(&mut tracker, *i, at(0.0, 0.5), true)).count();
+    assert!((8..=10).contains(&searches), "{searches}");
+}
+
+#[test]
+fn two_instances_keep_their_numbers_and_one_place_has_one_track() {
+    let mut tracker = tracker(2);
+    let [left, right] = [at(-0.2, 0.5), at(0.2, 0.5)];
+    tracker.found(&[detection(left), detection(right)], 0);
+    for i in 0..8 {
+        let poses: Vec<ObjectPose> = tracker
+            .predict(i * STEP_NS)
+            .iter()
+            .map(|p| refined(p, if p.instance == 0 { left } else { right }, PoseStatus::Ok))
+            .collect();
+        assert_eq!(poses.len(), 2);
+        tracker.learn(&poses, i * STEP_NS);
+    }
+    // The second slides onto the first.
+    for i in 8..30 {
+        let slid = at(0.2 - 0.02 * (i - 7) as f64, 0.5);
+        let poses: Vec<ObjectPose> = tracker
+            .predict(i * STEP_NS)
+            .iter()
+            .map(|p| refined(p, if p.instance == 0 { left } else { slid }, PoseStatus::Ok))
+            .collect();
+        tracker.learn(&poses, i * STEP_NS);
+    }
+    let kept = tracker.predict(30 * STEP_NS);
+    assert_eq!(kept.len(), 1);
+    let dropped = tracker.statuses().into_iter().find(|s| s.object_id == MUSTARD && s.instance != kept[0].instance);
+    assert_eq!(dropped.unwrap().reason, TrackReason::Duplicate as u32);
+}
