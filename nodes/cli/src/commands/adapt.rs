@@ -1,6 +1,7 @@
 //! `pseudoflow adapt`: self-supervised training from recordings, then the judgement of what it brought.
 
 mod chart;
+mod find;
 mod judge;
 mod progress;
 mod report;
@@ -20,8 +21,8 @@ pub(crate) struct Args {
     /// The object set: a BOP `models/` folder.
     #[arg(long)]
     objects: PathBuf,
-    /// Initial poses: a topic (`/initial_poses`), a BOP result file (.csv), or a file as `init_poses.json`. BOP scenes bring
-    /// their own.
+    /// Initial poses: a topic (`/initial_poses`), a BOP result file (.csv), a file as `init_poses.json`, or the weights of an
+    /// initializer (.safetensors), which then searches every frame. BOP scenes bring their own.
     #[arg(long)]
     init: Option<String>,
     /// Weights to begin with (.safetensors).
@@ -124,6 +125,8 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     check(args)?;
     let folder = args.folder();
     std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
+    let found = find::initializer(args).map(|weights| find::find(args, weights, &folder)).transpose()?;
+    let args = &Args { init: found.map(|file| file.display().to_string()).or(args.init.clone()), ..args.clone() };
     let Some(trained) = train(args, &folder)? else { return Ok(ExitCode::FAILURE) };
     if args.unjudged {
         keep(&trained, &args.out)?;

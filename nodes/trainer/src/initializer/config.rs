@@ -1,7 +1,7 @@
 use crate::TrainerError;
 use crate::pretrain::WarmStart;
 use crate::synth::SceneConfig;
-use pseudoflow_network::DetectorConfig;
+use pseudoflow_network::{DetectorConfig, Trunk};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -26,6 +26,9 @@ pub struct InitializerTraining {
     pub seed: u64,
     /// Weights to start from: by default the backbone of RAFT-small as its authors trained it.
     pub warm_start: WarmStart,
+    /// Share of the steps, from the first on, in which the trunk stays as it started: the steps are cheaper, and features of
+    /// a trained flow network are good already.
+    pub frozen_trunk: f64,
     /// How often a rendered scene is used, each time turned, zoomed and coloured anew.
     pub uses: u64,
     /// Scenes that are rendered, then used in changing order; a multiple of `batch`.
@@ -53,6 +56,7 @@ impl InitializerTraining {
             max_lr: 1e-3,
             seed: 0,
             warm_start: WarmStart::Auto,
+            frozen_trunk: 0.6,
             uses: 4,
             block: 256,
             checkpoint_every: 200,
@@ -72,6 +76,7 @@ impl InitializerTraining {
             ("steps", (1..=100_000_000).contains(&self.steps), "1 to 100000000"),
             ("batch", (1..=256).contains(&self.batch), "1 to 256"),
             ("max_lr", self.max_lr > 0.0 && self.max_lr <= 0.1, "a number over 0, at most 0.1"),
+            ("frozen_trunk", (0.0..=1.0).contains(&self.frozen_trunk), "0 to 1"),
             ("uses", (1..=1000).contains(&self.uses), "1 to 1000"),
             ("block", block, "a multiple of `batch`, at most 65536"),
             ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
@@ -88,6 +93,11 @@ impl InitializerTraining {
     pub fn scenes(&self, network: &DetectorConfig) -> SceneConfig {
         let [width, height] = network.input_px.map(|v| v as u32);
         self.scenes.clone().unwrap_or_else(|| SceneConfig::for_images(width, height.min(width * 3 / 4)))
+    }
+
+    /// What becomes of the trunk in a step.
+    pub(crate) fn trunk_at(&self, step: u64) -> Trunk {
+        if (step as f64) < self.frozen_trunk * self.steps as f64 { Trunk::Frozen } else { Trunk::Trained }
     }
 
     /// The checkpoint's path.

@@ -17,7 +17,7 @@ use crate::pretrain::{Curve, Progress, Row, RunLog, SHIPPED_WEIGHTS, WarmStart, 
 use crate::synth::SceneGenerator;
 use data::{Prefetch, Source};
 use pseudoflow_imaging::ObjectSet;
-use pseudoflow_network::{DetectorConfig, Device, Grid, LossWeights, NetworkConfig, TrainConfig, TrainState, Weights};
+use pseudoflow_network::{DetectorConfig, Device, Grid, LossWeights, NetworkConfig, TrainConfig, Trunk, TrainState, Weights};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -119,7 +119,8 @@ pub fn train_initializer(
     let (start, prefetch) = (Instant::now(), Prefetch::start(&source, state.step()));
     while state.step() < config.steps && !progress.should_stop() {
         let batch = prefetch.next()?;
-        log.reports.push(step(&mut state, &batch)?);
+        let trunk = config.trunk_at(state.step());
+        log.reports.push(step(&mut state, &batch, trunk)?);
         let [loss, corners, surface]: [fn(&InitializerStep) -> f32; 3] =
             [|r| r.loss, |r| r.space_diameters, |r| r.surface_diameters];
         let [loss, corners, surface] = [loss, corners, surface].map(|value| log.recent(100, value));
@@ -132,8 +133,8 @@ pub fn train_initializer(
     finish(config, &state, &log, start.elapsed().as_secs_f64(), prefetch.busy_s())
 }
 
-fn step(state: &mut State, batch: &data::Batch) -> Result<InitializerStep, TrainerError> {
-    let (stats, loss) = state.detection_step(&batch.images, &batch.truth, &LossWeights::default())?;
+fn step(state: &mut State, batch: &data::Batch, trunk: Trunk) -> Result<InitializerStep, TrainerError> {
+    let (stats, loss) = state.detection_step(&batch.images, &batch.truth, &LossWeights::default(), trunk)?;
     Ok(InitializerStep {
         step: stats.step,
         loss: loss.total,

@@ -39,9 +39,16 @@ pub(super) struct Case {
 }
 
 impl Case {
+    /// What the pictures alone say. The inlier ratio is a network's agreement with itself, and grows when it learns to
+    /// repeat itself.
     pub(super) fn gain(&self) -> f64 {
-        self.after.agreement - self.before.agreement
+        seen(&self.after) - seen(&self.before)
     }
+}
+
+/// How well the pictures agree with a pose.
+fn seen(judged: &Judged) -> f64 {
+    judged.photometric + judged.silhouette
 }
 
 /// What the held-out frames say.
@@ -49,9 +56,9 @@ impl Case {
 pub(super) struct Verdict {
     pub(super) frames: usize,
     pub(super) instances: usize,
-    /// Mean agreement with the weights that went in.
+    /// Mean agreement of the pictures with the poses, by the weights that went in.
     pub(super) before: f64,
-    /// Mean agreement with those that came out.
+    /// By those that came out.
     pub(super) after: f64,
     /// 95 % interval of the mean gain, drawn by frames.
     pub(super) interval: [f64; 2],
@@ -77,10 +84,10 @@ impl Verdict {
             "",
             "before",
             "after",
-            row("inlier ratio", self.inlier_ratio),
+            row("inlier ratio (does not count)", self.inlier_ratio),
             row("correlation with the picture", self.photometric),
             row("contrast across the contour", self.silhouette),
-            row("agreement (their sum)", [self.before, self.after]),
+            row("agreement (sum of these two)", [self.before, self.after]),
             self.after - self.before,
             self.interval[0],
             self.interval[1],
@@ -93,16 +100,16 @@ impl Verdict {
     }
 }
 
-fn boxed(error: pseudoflow_runtime::NodeError) -> anyhow::Error {
+pub(super) fn boxed(error: pseudoflow_runtime::NodeError) -> anyhow::Error {
     anyhow!("{error}")
 }
 
-fn context(args: &Args) -> Context {
+pub(super) fn context(args: &Args) -> Context {
     let out_dir = std::env::temp_dir();
     Context { name: "judge".into(), seed: args.seed, out_dir, restarts: 0, replay: true }
 }
 
-fn pipeline(args: &Args, weights: &Path) -> Result<Pipeline> {
+pub(super) fn pipeline(args: &Args, weights: &Path) -> Result<Pipeline> {
     Pipeline::open(PipelineConfig {
         renderer: RendererConfig::new(args.objects.clone(), args.size),
         flow: FlowConfig {
@@ -121,7 +128,11 @@ fn pipeline(args: &Args, weights: &Path) -> Result<Pipeline> {
 }
 
 fn player(args: &Args) -> Result<PlayerNode> {
-    let (topic, file) = training::initial_poses(args);
+    player_with(args, training::initial_poses(args))
+}
+
+/// The recordings from begin to end, with initial poses of a topic or a file.
+pub(super) fn player_with(args: &Args, (topic, file): (Option<String>, Option<String>)) -> Result<PlayerNode> {
     let config = PlayerConfig {
         also: args.bags[1..].to_vec(),
         objects: Some(args.objects.clone()),
@@ -187,8 +198,8 @@ fn verdict(frames: Vec<Vec<Case>>, context: &Context) -> Verdict {
     Verdict {
         frames: count,
         instances: cases.len(),
-        before: mean(&|c| c.before.agreement),
-        after: mean(&|c| c.after.agreement),
+        before: mean(&|c| seen(&c.before)),
+        after: mean(&|c| seen(&c.after)),
         interval,
         inlier_ratio: both(|j| j.pose.score),
         photometric: both(|j| j.photometric),
@@ -220,8 +231,8 @@ mod tests {
     fn case(before: f64, after: f64) -> Case {
         let judged = |agreement| Judged {
             pose: bytemuck::Zeroable::zeroed(),
-            agreement,
-            photometric: 0.0,
+            agreement: 0.0,
+            photometric: agreement,
             silhouette: 0.0,
             crop: [0.0; 3],
         };

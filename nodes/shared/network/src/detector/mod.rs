@@ -112,9 +112,18 @@ impl Detector {
     /// (N, 16 objects, cells), in units of [`Cell::unit_px`] from the cell's centre, and surface points (N, 3 objects,
     /// cells), in units of [`SURFACE_UNIT`] from the middle of the object's box; cells in the order of [`Grid`].
     pub fn forward(&self, images: Tensor<4>) -> [Tensor<3>; 3] {
+        self.heads(self.features(images))
+    }
+
+    /// The trunk alone: (N, 3, H, W) to (N, C, H / 8, W / 8).
+    fn features(&self, images: Tensor<4>) -> Tensor<4> {
+        let x = forward_normed(&self.stem, images, Norm::Instance, true);
+        self.trunk.iter().fold(x, |x, block| block.forward(x, Norm::Instance))
+    }
+
+    /// From the trunk's features on.
+    fn heads(&self, mut x: Tensor<4>) -> [Tensor<3>; 3] {
         let norm = Norm::Instance;
-        let x = forward_normed(&self.stem, images, norm, true);
-        let mut x = self.trunk.iter().fold(x, |x, block| block.forward(x, norm));
         let mut levels = Vec::new();
         for (stage, lateral) in self.stages.iter().zip(&self.laterals) {
             x = stage.iter().fold(x, |x, block| block.forward(x, norm));
@@ -194,6 +203,15 @@ impl Weights {
     }
 }
 
+/// What becomes of the trunk in a training step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Trunk {
+    /// It learns with the rest.
+    Trained,
+    /// It stays as it is, and the step does not go back through it: about half of the time.
+    Frozen,
+}
+
 impl TrainState<DetectorConfig> {
     /// One step on `n` images (n, 3, H, W) in [-1, 1] with what they show.
     ///
@@ -204,6 +222,7 @@ impl TrainState<DetectorConfig> {
         images: &[f32],
         truth: &[SceneTruth],
         weights: &LossWeights,
+        trunk: Trunk,
     ) -> Result<(StepStats, DetectionLoss)> {
         let [width, height] = self.network.input_px;
         let (n, needed) = (truth.len(), truth.len() * 3 * width * height);
@@ -216,7 +235,11 @@ impl TrainState<DetectorConfig> {
         let (grid, objects) = (Grid::new(width, height), self.network.objects);
         let mut found = None;
         let mut stats = self.step_with(|network| {
-            let outputs = network.forward(images);
+            let features = network.features(images);
+            let outputs = network.heads(match trunk {
+                Trunk::Trained => features,
+                Trunk::Frozen => features.detach(),
+            });
             let [logits, offsets, surface] = outputs.clone().map(values);
             let output = DetectorOutput { logits: &logits, offsets: &offsets, surface: &surface, objects };
             let loss = detection_loss(&output, truth, &grid, weights);

@@ -119,7 +119,7 @@ fn training_learns_a_scene_and_resumes_with_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.checkpoint");
     let step = |state: &mut TrainState<DetectorConfig>| {
-        state.detection_step(&images, &truth, &LossWeights::default()).unwrap().1.total
+        state.detection_step(&images, &truth, &LossWeights::default(), Trunk::Trained).unwrap().1.total
     };
     let first = step(&mut state);
     state.save(&path).unwrap();
@@ -129,7 +129,7 @@ fn training_learns_a_scene_and_resumes_with_the_same_bits() {
     let mut again = TrainState::load(&path, config, &device).unwrap();
     assert!((1..steps).map(|_| step(&mut again)).all(f32::is_finite));
     assert_eq!(again.weights, state.weights);
-    let text = state.detection_step(&images[1..], &truth, &LossWeights::default()).unwrap_err().to_string();
+    let text = state.detection_step(&images[1..], &truth, &LossWeights::default(), Trunk::Trained).unwrap_err().to_string();
     assert!(text.contains("96 x 64"), "{text}");
 }
 
