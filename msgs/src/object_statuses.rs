@@ -155,7 +155,8 @@ impl Message for ObjectStatuses<'static> {
         let mut reader = Reader::new(Self::TYPE_NAME, bytes)?;
         let header = reader.one::<ObjectStatusesHeader>("header")?;
         let statuses = reader.array::<ObjectStatus>("statuses", header.count as usize)?;
-        let bad = |field, value: u32| MalformedMessage::Field { message: Self::TYPE_NAME, field, value: value.to_string() };
+        let bad =
+            |field, value: u32| MalformedMessage::Field { message: Self::TYPE_NAME, field, value: value.to_string() };
         for status in statuses {
             TrackPhase::from_u32(status.phase).ok_or_else(|| bad("phase", status.phase))?;
             TrackReason::from_u32(status.reason).ok_or_else(|| bad("reason", status.reason))?;

@@ -31,7 +31,8 @@ impl Node for Bridge {
     type Config = BridgeConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::optional::<ObjectPoses>("poses"),
+        vec![
+            PortSpec::optional::<ObjectPoses>("poses"),
             PortSpec::optional::<CameraFrame>("frame"),
             PortSpec::optional::<ObjectStatuses>("status"),
         ]

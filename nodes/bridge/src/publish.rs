@@ -1,8 +1,8 @@
 use crate::participant::topic_name;
 use crate::{BridgeConfig, BridgeError, Participant, publisher_qos};
 use pseudoflow_msgs::ros::{
-    Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped, RosMessage, TFMessage, Time, best_pose, detections, diagnostics,
-    pose_stamped, transforms,
+    Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped, RosMessage, TFMessage, Time, best_pose, detections,
+    diagnostics, pose_stamped, transforms,
 };
 use pseudoflow_msgs::{FrameKey, ObjectPose, ObjectStatus};
 use ros2_client::{Publisher, WriteError};

@@ -1,8 +1,8 @@
+use crate::InitializerError;
 use crate::detect::{DetectConfig, Detection, detect};
 use crate::network::DetectorNetwork;
 use crate::track::{Predicted, TrackConfig, Tracker};
 use crate::votes::{group, votes};
-use crate::InitializerError;
 use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_inference::EngineConfig;
@@ -190,10 +190,7 @@ impl Node for InitializerNode {
     type Config = InitializerConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::latest::<ObjectPoses<'static>>("poses"),
-        ]
+        vec![PortSpec::required::<CameraFrame<'static>>("frame"), PortSpec::latest::<ObjectPoses<'static>>("poses")]
     }
 
     fn outputs() -> Vec<PortSpec> {

@@ -251,8 +251,7 @@ fn judge(
     if pose.score < config.min_inlier_ratio {
         return Err(TrackReason::NotSeen);
     }
-    let there =
-        pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).map_err(|_| TrackReason::NotSolved)?;
+    let there = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).map_err(|_| TrackReason::NotSolved)?;
     let expected = track.predict(stamp_ns);
     let jump = (there.translation.vector - expected.translation.vector).norm() / diameter_m;
     let turn_deg = rotation_angle_rad(&there, &expected).to_degrees();

@@ -116,7 +116,10 @@ impl PnpNode {
                 PnpStatus::Ok => Some(evidence(&planes, &found, blocks_across, &mut self.gate)?),
                 _ => None,
             };
-            Ok(Judgement { pose: refined_pose(&planes.view.pose, &found, (status, status == PoseStatus::Ok)), evidence })
+            Ok(Judgement {
+                pose: refined_pose(&planes.view.pose, &found, (status, status == PoseStatus::Ok)),
+                evidence,
+            })
         };
         (0..views.header.instances as usize).map(judge).collect()
     }

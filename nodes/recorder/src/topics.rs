@@ -1,7 +1,7 @@
 use pseudoflow_imaging::{RgbImage, encode_jpeg};
 use pseudoflow_msgs::ros::{
-    CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped, TFMessage, best_pose, detections,
-    diagnostics, pose_stamped, transforms,
+    CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped, TFMessage, best_pose,
+    detections, diagnostics, pose_stamped, transforms,
 };
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, ObjectStatus};
 use pseudoflow_runtime::NodeError;

@@ -5,9 +5,9 @@ use pseudoflow_evaluator::{
     Difference, EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset, overlays,
 };
 use pseudoflow_flow::FlowConfig;
-use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_imaging::RgbImage;
+use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_initializer::InitializerConfig;
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
@@ -121,7 +121,8 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
             let part = args.csv().with_extension("csv.part");
             let mut writer = ResultsWriter::create(&part)?;
             writer.write_image(&estimates)?;
-            std::fs::rename(&part, args.csv()).with_context(|| format!("{}: cannot be written", args.csv().display()))?;
+            std::fs::rename(&part, args.csv())
+                .with_context(|| format!("{}: cannot be written", args.csv().display()))?;
             vec![NamedEstimates { name: "init".into(), estimates }]
         }
         (None, None) => {
@@ -341,7 +342,8 @@ fn found(report: &Report) -> String {
             continue;
         };
         let degrees = scores.median_rotation_deg.map_or("-".into(), |d| format!("{d:.1} deg"));
-        text += &format!("{set}: found {recall:.3} of what is at least 60 % visible; median rotation error {degrees}\n");
+        text +=
+            &format!("{set}: found {recall:.3} of what is at least 60 % visible; median rotation error {degrees}\n");
     }
     text
 }

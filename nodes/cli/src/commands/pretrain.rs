@@ -37,6 +37,9 @@ pub(crate) struct Args {
     /// Pairs (initializer: images) in a step.
     #[arg(long)]
     batch: Option<usize>,
+    /// Initializer: scenes that are rendered before they are used in changing order; a multiple of `--batch`.
+    #[arg(long)]
+    block: Option<u64>,
     /// Peak of the one-cycle learning rate.
     #[arg(long)]
     max_lr: Option<f64>,
@@ -78,6 +81,7 @@ impl Args {
 
     fn initializer(&self) -> InitializerTraining {
         let mut config = InitializerTraining::new(self.objects.clone(), &self.network, self.out.clone());
+        config.block = self.block.unwrap_or(config.block);
         config.steps = self.steps.unwrap_or(config.steps);
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);

@@ -95,8 +95,15 @@ fn votes_for_nothing_make_no_pose() {
     let object = objects.iter().next().unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut wild = || [320.0 * rng.random::<f32>(), 240.0 * rng.random::<f32>()];
-    let votes: Vec<Vote> =
-        (0..6).map(|_| Vote { class: 0, score: 0.5, corners_px: std::array::from_fn(|_| wild()), centre_px: wild(), surface: [0.1; 3] }).collect();
+    let votes: Vec<Vote> = (0..6)
+        .map(|_| Vote {
+            class: 0,
+            score: 0.5,
+            corners_px: std::array::from_fn(|_| wild()),
+            centre_px: wild(),
+            surface: [0.1; 3],
+        })
+        .collect();
     let found = solve(&votes, object, &K, &DetectConfig::default(), &mut ChaCha8Rng::seed_from_u64(6)).unwrap();
     assert!(found.is_none_or(|d| d.score < DetectConfig::default().min_score), "{found:?}");
     let bad = DetectConfig { threshold_sides: 0.0, ..DetectConfig::default() };

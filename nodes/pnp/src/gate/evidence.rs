@@ -1,7 +1,7 @@
 use super::picture::{Between, luminance};
-use pseudoflow_solver::PnpError;
 use nalgebra::{Point2, Point3, Vector2};
 use pseudoflow_geometry::{Intrinsics, Pose, rotation_angle_rad};
+use pseudoflow_solver::PnpError;
 
 /// A reference view and the real crop it was compared with. All planes are row-major, S x S, rgb interleaved.
 #[derive(Debug, Clone, Copy)]

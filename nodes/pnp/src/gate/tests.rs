@@ -1,9 +1,9 @@
 //! A textured ball, rendered at one pose as the reference and at another as the "real" crop.
 
 use super::{Evidence, Gate, GateConfig, GateReason, GateView};
-use pseudoflow_solver::{PnpError, PnpResult, PnpStatus};
 use nalgebra::{Point2, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
+use pseudoflow_solver::{PnpError, PnpResult, PnpStatus};
 
 const SIZE: usize = 128;
 const K: Intrinsics = Intrinsics { fx: 600.0, fy: 600.0, cx: 63.0, cy: 64.5 };

@@ -1,8 +1,8 @@
 use crate::{Engine, EngineConfig, ExecutionProvider, InferenceError, Input, Output};
 use ort::environment::Environment;
 use ort::ep::ExecutionProviderDispatch;
-use ort::session::{Session, SessionInputValue};
 use ort::session::builder::GraphOptimizationLevel;
+use ort::session::{Session, SessionInputValue};
 use ort::value::TensorRef;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -66,7 +66,8 @@ impl Engine for OnnxRuntime {
 
     fn run(&mut self, inputs: &[Input<'_>], outputs: &mut [Output<'_>]) -> Result<(), InferenceError> {
         let failed = |cause: String| {
-            let (input, shape) = inputs.first().map_or_else(Default::default, |i| (i.name.to_owned(), i.shape.to_vec()));
+            let (input, shape) =
+                inputs.first().map_or_else(Default::default, |i| (i.name.to_owned(), i.shape.to_vec()));
             InferenceError::Run { engine: ENGINE, input, shape, cause }
         };
         let mut values: Vec<(Cow<'_, str>, SessionInputValue<'_>)> = Vec::with_capacity(inputs.len());

@@ -49,7 +49,8 @@ impl Engine for Rten {
 
     fn run(&mut self, inputs: &[Input<'_>], outputs: &mut [Output<'_>]) -> Result<(), InferenceError> {
         self.compute(inputs, outputs).map_err(|cause| {
-            let (input, shape) = inputs.first().map_or_else(Default::default, |i| (i.name.to_owned(), i.shape.to_vec()));
+            let (input, shape) =
+                inputs.first().map_or_else(Default::default, |i| (i.name.to_owned(), i.shape.to_vec()));
             InferenceError::Run { engine: ENGINE, input, shape, cause }
         })
     }

@@ -16,8 +16,8 @@ mod weights;
 pub use burn::tensor::{Device, Tensor};
 pub use config::{Architecture, NetworkConfig};
 pub use detector::{
-    CORNERS, SURFACE_UNIT, Cell, DetectionLoss, Detector, DetectorConfig, DetectorOutput, Grid, InstanceTruth, LossWeights, STRIDES,
-    SceneTruth, Trunk, detection_loss,
+    CORNERS, Cell, DetectionLoss, Detector, DetectorConfig, DetectorOutput, Grid, InstanceTruth, LossWeights, STRIDES,
+    SURFACE_UNIT, SceneTruth, Trunk, detection_loss,
 };
 pub use error::{NetworkError, Result};
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};

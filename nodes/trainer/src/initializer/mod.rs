@@ -17,7 +17,9 @@ use crate::pretrain::{Curve, Progress, Row, RunLog, SHIPPED_WEIGHTS, WarmStart, 
 use crate::synth::SceneGenerator;
 use data::{Prefetch, Source};
 use pseudoflow_imaging::ObjectSet;
-use pseudoflow_network::{DetectorConfig, Device, Grid, LossWeights, NetworkConfig, TrainConfig, Trunk, TrainState, Weights};
+use pseudoflow_network::{
+    DetectorConfig, Device, Grid, LossWeights, NetworkConfig, TrainConfig, TrainState, Trunk, Weights,
+};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -124,7 +126,10 @@ pub fn train_initializer(
         let [loss, corners, surface]: [fn(&InitializerStep) -> f32; 3] =
             [|r| r.loss, |r| r.space_diameters, |r| r.surface_diameters];
         let [loss, corners, surface] = [loss, corners, surface].map(|value| log.recent(100, value));
-        progress.step(state.step(), &format!("loss {loss:.3}  off by (diameters): corners {corners:.3}, surface {surface:.3}"));
+        progress.step(
+            state.step(),
+            &format!("loss {loss:.3}  off by (diameters): corners {corners:.3}, surface {surface:.3}"),
+        );
         if state.step().is_multiple_of(config.checkpoint_every) {
             save_checkpoint(config, &state, &log)?;
         }

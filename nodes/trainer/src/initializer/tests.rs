@@ -11,8 +11,7 @@ const NETWORK: &str = "name: tiny\ninput_px: [96, 64]\nwidths: [16, 24]\npyramid
 fn tiny(folder: &Path) -> InitializerTraining {
     let network = folder.join("tiny.yaml");
     std::fs::write(&network, NETWORK).unwrap();
-    let scenes =
-        SceneConfig { most_objects: 3, projected_px: [20.0, 40.0], ..SceneConfig::for_images(96, 64) };
+    let scenes = SceneConfig { most_objects: 3, projected_px: [20.0, 40.0], ..SceneConfig::for_images(96, 64) };
     InitializerTraining {
         steps: 6,
         batch: 2,

@@ -170,7 +170,13 @@ impl<'a> Surroundings<'a> {
         let lowest = object.hull_m.iter().map(|p| up.dot(&(truth * p).coords)).fold(f64::MAX, f64::min);
         let gap_m = if rng.chance(0.7) { 0.0 } else { rng.uniform(0.0, 0.5) * object.diameter_m };
         let table_m = rng.chance(0.75).then_some(lowest - gap_m);
-        Self { intrinsics: &placement.intrinsics, centre: truth * centre_m(object), diameter_m: object.diameter_m, up, table_m }
+        Self {
+            intrinsics: &placement.intrinsics,
+            centre: truth * centre_m(object),
+            diameter_m: object.diameter_m,
+            up,
+            table_m,
+        }
     }
 
     /// A point `offset` projected diameters beside the object's centre, at another depth.

@@ -114,11 +114,9 @@ impl SceneGenerator {
         let mut rng = stream(self.seed ^ 0x5ce7_e5ce, index);
         let [width, height] = self.config.image_px;
         let focal = rng.uniform(self.config.focal_px[0], self.config.focal_px[1]);
-        let centre = |size: u32, rng: &mut _| {
-            (f64::from(size) - 1.0) / 2.0 + Draw::uniform(rng, -0.02, 0.02) * f64::from(size)
-        };
-        let intrinsics =
-            Intrinsics { fx: focal, fy: focal, cx: centre(width, &mut rng), cy: centre(height, &mut rng) };
+        let centre =
+            |size: u32, rng: &mut _| (f64::from(size) - 1.0) / 2.0 + Draw::uniform(rng, -0.02, 0.02) * f64::from(size);
+        let intrinsics = Intrinsics { fx: focal, fy: focal, cx: centre(width, &mut rng), cy: centre(height, &mut rng) };
         let (scene, placed) = SyntheticScene::draw_whole(&mut rng, &self.objects, &intrinsics, &self.config)?;
         let window = Window::whole(&intrinsics, self.config.image_px);
         let picture = scene.render(&window);

@@ -48,15 +48,23 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
         let frame = read::<CameraFrame<'static>>(&messages, "frame").map_err(boxed)?;
         let (header, index) = (*frame.header, number as u64);
         if !images.insert((header.scene_id, header.image_id)) {
-            bail!("two frames are scene {}, image {}: adapt to one recording at a time", header.scene_id, header.image_id);
+            bail!(
+                "two frames are scene {}, image {}: adapt to one recording at a time",
+                header.scene_id,
+                header.image_id
+            );
         }
         let poses = finder.find(&Frame { header, rgb: frame.rgb, index })?;
         let poses: Vec<ObjectPose> = poses.into_iter().filter(|pose| wanted(args, pose)).collect();
         put(&mut messages, (header.scene_id, header.image_id), &poses);
         let judged = refiner.judge(&messages)?;
         let believed = poses.iter().filter(|pose| {
-            let same = |j: &&crate::pipeline::Judged| (j.pose.object_id, j.pose.instance) == (pose.object_id, pose.instance);
-            judged.iter().find(same).is_some_and(|j| j.agreement >= LEAST_AGREEMENT && turn_deg(pose, &j.pose) < LARGEST_TURN_DEG)
+            let same =
+                |j: &&crate::pipeline::Judged| (j.pose.object_id, j.pose.instance) == (pose.object_id, pose.instance);
+            judged
+                .iter()
+                .find(same)
+                .is_some_and(|j| j.agreement >= LEAST_AGREEMENT && turn_deg(pose, &j.pose) < LARGEST_TURN_DEG)
         });
         let estimates: Vec<Estimate> =
             believed.map(|pose| estimate((header.scene_id, header.image_id), pose)).collect::<Result<_>>()?;

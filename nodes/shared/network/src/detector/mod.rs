@@ -160,7 +160,10 @@ impl Model for DetectorConfig {
     }
 
     fn hash(&self) -> String {
-        fingerprint(&format!("detector with surface {:?} {:?} {} {}", self.input_px, self.widths, self.pyramid, self.objects))
+        fingerprint(&format!(
+            "detector with surface {:?} {:?} {} {}",
+            self.input_px, self.widths, self.pyramid, self.objects
+        ))
     }
 
     fn layout(&self) -> Vec<TensorSpec> {

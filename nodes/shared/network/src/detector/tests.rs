@@ -52,7 +52,13 @@ fn gradients_are_those_of_finite_differences() {
         detection_loss(&DetectorOutput { logits, offsets, surface, objects }, &truth, &grid, &weights)
     };
     let at = loss(&logits, &offsets, &surface);
-    assert!(at.positives > 16 && at.class > 0.0 && at.space_diameters > 0.0 && at.image_sides > 0.0 && at.surface_diameters > 0.0);
+    assert!(
+        at.positives > 16
+            && at.class > 0.0
+            && at.space_diameters > 0.0
+            && at.image_sides > 0.0
+            && at.surface_diameters > 0.0
+    );
     let step = 1e-2_f32;
     let mut checked = 0;
     let mut check = |gradient: &[f32], change: &dyn Fn(usize, f32) -> f32| {
@@ -129,7 +135,8 @@ fn training_learns_a_scene_and_resumes_with_the_same_bits() {
     let mut again = TrainState::load(&path, config, &device).unwrap();
     assert!((1..steps).map(|_| step(&mut again)).all(f32::is_finite));
     assert_eq!(again.weights, state.weights);
-    let text = state.detection_step(&images[1..], &truth, &LossWeights::default(), Trunk::Trained).unwrap_err().to_string();
+    let text =
+        state.detection_step(&images[1..], &truth, &LossWeights::default(), Trunk::Trained).unwrap_err().to_string();
     assert!(text.contains("96 x 64"), "{text}");
 }
 

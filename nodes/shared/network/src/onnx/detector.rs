@@ -1,7 +1,7 @@
 //! The initializer's network as standard ONNX, for one image.
 
-use super::builder::{Attr, Builder};
 use super::Export;
+use super::builder::{Attr, Builder};
 use crate::config::Architecture;
 use crate::detector::{CORNERS, DetectorConfig, Grid, STRIDES, TOWER, TRUNK};
 use crate::error::Result;

@@ -169,10 +169,8 @@ impl Table<'_> {
 
 fn shape(rng: &mut impl Rng, size_m: f64, at: Point3<f64>) -> Result<Thing, ImagingError> {
     let busy = rng.chance(0.6);
-    let look = Look {
-        material: Material::of_distractor(rng),
-        pattern: Some((Pattern::draw(rng, busy), size_m as f32)),
-    };
+    let look =
+        Look { material: Material::of_distractor(rng), pattern: Some((Pattern::draw(rng, busy), size_m as f32)) };
     let camera_from_thing = Pose::from_parts(Translation3::from(at.coords), rng.rotation());
     Ok(Thing { mesh: Arc::new(draw_shape(rng, size_m as f32)?), camera_from_thing, look, in_front: true })
 }
