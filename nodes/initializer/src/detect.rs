@@ -1,7 +1,7 @@
 //! From groups of votes to poses.
 
 use crate::InitializerError;
-use crate::votes::Vote;
+use crate::votes::{Vote, sureness};
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::{Object, ObjectSet};
@@ -115,12 +115,10 @@ pub fn solve(
     if seen_px > 2.0 * f64::from(side_px) || seen_px < 0.5 * f64::from(side_px) {
         return Ok(None);
     }
-    let surest = &votes[..votes.len().min(8)];
-    let sure = surest.iter().map(|v| f64::from(v.score)).sum::<f64>() / surest.len() as f64;
     Ok(Some(Detection {
         object_id: object.id,
         camera_from_object: found.camera_from_object,
-        score: sure * found.inlier_ratio,
+        score: sureness(votes) * found.inlier_ratio,
         centre_px,
         side_px: seen_px,
         covariance: found.covariance,
@@ -142,7 +140,7 @@ fn pool(votes: &[Vote], object: &Object) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
 }
 
 /// Middle and larger side of an object's projection; `None` when a part of it is behind the camera.
-fn extent(object: &Object, pose: &Pose, intrinsics: &Intrinsics) -> Option<(Point2<f64>, f64)> {
+pub(crate) fn extent(object: &Object, pose: &Pose, intrinsics: &Intrinsics) -> Option<(Point2<f64>, f64)> {
     let seen: Vec<Point2<f64>> =
         object.hull_m.iter().map(|p| intrinsics.project(&(pose * p))).collect::<Option<Vec<_>>>()?;
     let range = |k: usize| seen.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[k]), h.max(p[k])));

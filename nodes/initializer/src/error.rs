@@ -40,6 +40,9 @@ pub enum InitializerError {
     /// The solver refused its settings.
     #[error(transparent)]
     Solver(#[from] pseudoflow_solver::PnpError),
+    /// An object could not be rendered.
+    #[error("the views of an object cannot be rendered: {0}")]
+    Render(String),
     /// The object set is bad.
     #[error(transparent)]
     Imaging(#[from] pseudoflow_imaging::ImagingError),

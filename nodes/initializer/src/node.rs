@@ -1,8 +1,10 @@
 use crate::InitializerError;
-use crate::detect::{DetectConfig, Detection, detect};
+use crate::compare::{CompareConfig, Comparer};
+use crate::detect::{DetectConfig, Detection, detect, suppress};
 use crate::network::DetectorNetwork;
 use crate::track::{Predicted, TrackConfig, Tracker};
-use crate::votes::{group, votes};
+use crate::votes::{group, place, sureness, votes};
+use nalgebra::Point2;
 use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_inference::EngineConfig;
@@ -30,6 +32,10 @@ pub struct InitializerConfig {
     /// How poses are made of the network's answer.
     #[serde(default)]
     pub detect: DetectConfig,
+    /// Holds the objects, rendered from all sides, against the image: the most similar view is the first pose. Without it the
+    /// pose is what the network's votes say.
+    #[serde(default)]
+    pub compare: Option<CompareConfig>,
     /// Follows objects from frame to frame; `poses` must then be the refined poses (feedback). Without it each image is
     /// searched.
     #[serde(default)]
@@ -48,7 +54,7 @@ impl InitializerConfig {
     #[must_use]
     pub fn new(model: PathBuf, objects: PathBuf) -> Self {
         let (detect, engine) = (DetectConfig::default(), EngineConfig::default());
-        Self { model, objects, network: default_network(), detect, track: None, engine }
+        Self { model, objects, network: default_network(), detect, compare: None, track: None, engine }
     }
 }
 
@@ -56,6 +62,7 @@ impl InitializerConfig {
 pub struct InitializerNode {
     config: InitializerConfig,
     network: DetectorNetwork,
+    comparer: Option<Comparer>,
     objects: ObjectSet,
     following: Option<Following>,
 }
@@ -146,8 +153,30 @@ impl InitializerNode {
         let fit = self.network.fit(image.width(), image.height());
         let answer = self.network.run(&fit.input(image))?;
         let groups = group(&votes(&answer, self.config.detect.min_vote as f32));
-        let camera = fit.intrinsics(camera);
-        Ok(detect(&groups, answer.object_ids, &self.objects, &camera, &self.config.detect, rng)?)
+        let (ids, seen_by) = (answer.object_ids, fit.intrinsics(camera));
+        let Some(comparer) = &mut self.comparer else {
+            return Ok(detect(&groups, ids, &self.objects, &seen_by, &self.config.detect, rng)?);
+        };
+        let config = &self.config.detect;
+        let mut found = Vec::new();
+        for votes in groups.iter().filter(|votes| votes.len() >= config.min_votes) {
+            let (score, object) = (sureness(votes), self.objects.get(ids[votes[0].class])?);
+            if score >= config.min_score {
+                let (at, side_px) = place(votes);
+                let at = Point2::new(f64::from(at[0]), f64::from(at[1]));
+                let there = (fit.image_from_input(&at), f64::from(side_px) * camera.fx / seen_by.fx);
+                let best = comparer.best(image, camera, object, there, 1)?;
+                found.extend(best.first().map(|m| Detection {
+                    object_id: object.id,
+                    camera_from_object: m.camera_from_object,
+                    score: score * m.similarity.clamp(0.0, 1.0),
+                    centre_px: at,
+                    side_px: f64::from(side_px),
+                    covariance: [0.0; 36],
+                }));
+            }
+        }
+        Ok(suppress(found, config.max_instances))
     }
 }
 
@@ -202,6 +231,7 @@ impl Node for InitializerNode {
 
     fn check(config: &InitializerConfig) -> Result<(), NodeError> {
         config.detect.check()?;
+        config.compare.as_ref().map_or(Ok(()), CompareConfig::check)?;
         config.track.as_ref().map_or(Ok(()), TrackConfig::check)?;
         if !config.model.is_file() {
             let cause = "no such file".to_owned();
@@ -221,6 +251,8 @@ impl Node for InitializerNode {
         if let Some(id) = network.object_ids().iter().find(|id| !known.contains(id)) {
             return Err(InitializerError::Objects { path: config.model, id: *id, known }.into());
         }
+        let compare = config.compare.as_ref().map(|compare| Comparer::open(compare, &objects, &config.engine));
+        let comparer = compare.transpose()?;
         log::info!("{} finds {} objects with {}", network.describe(), known.len(), config.model.display());
         // The first frame finds memory and kernels ready.
         let grey = network.fit(64, 48).input(&RgbImage::new(64, 48));
@@ -231,7 +263,7 @@ impl Node for InitializerNode {
             sent: VecDeque::new(),
             learned: None,
         });
-        Ok(Self { config, network, objects, following })
+        Ok(Self { config, network, comparer, objects, following })
     }
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {

@@ -59,6 +59,25 @@ pub fn votes(answer: &Answer<'_>, min_score: f32) -> Vec<Vote> {
     votes
 }
 
+/// Middle and larger side of what a group of votes means, pixels of the input: the mean of the surest.
+#[must_use]
+pub fn place(votes: &[Vote]) -> ([f32; 2], f32) {
+    let surest = &votes[..votes.len().min(SUREST)];
+    let n = surest.len().max(1) as f32;
+    let mean = |value: &dyn Fn(([f32; 2], f32)) -> f32| surest.iter().map(|v| value(v.extent())).sum::<f32>() / n;
+    ([mean(&|e| e.0[0]), mean(&|e| e.0[1])], mean(&|e| e.1))
+}
+
+/// How sure the surest votes of a group are, 0..1.
+#[must_use]
+pub fn sureness(votes: &[Vote]) -> f64 {
+    let surest = &votes[..votes.len().min(SUREST)];
+    surest.iter().map(|v| f64::from(v.score)).sum::<f64>() / surest.len().max(1) as f64
+}
+
+/// So many votes decide where a group is and how sure it is.
+const SUREST: usize = 8;
+
 /// Votes belong together up to this distance of their middles, in sides.
 const SAME_PLACE: f32 = 0.3;
 /// And up to this ratio of their sides.

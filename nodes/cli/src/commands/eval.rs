@@ -8,7 +8,7 @@ use pseudoflow_flow::FlowConfig;
 use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_imaging::RgbImage;
 use pseudoflow_inference::{Backend, EngineConfig};
-use pseudoflow_initializer::InitializerConfig;
+use pseudoflow_initializer::{CompareConfig, InitializerConfig};
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
 use pseudoflow_pnp::PnpNodeConfig;
@@ -34,6 +34,10 @@ pub(crate) struct Args {
     /// image. The default is each scene's `init_poses.json`.
     #[arg(long)]
     init: Option<PathBuf>,
+    /// Weights of a flow network in whose feature space the initializer compares the objects, rendered from all sides, with
+    /// the image.
+    #[arg(long)]
+    init_compare: Option<PathBuf>,
     /// The network that the initializer's weights belong to: nano, full or a YAML file.
     #[arg(long, default_value = "nano")]
     init_network: String,
@@ -231,6 +235,7 @@ fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Es
     let objects = args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone());
     let config = InitializerConfig {
         network: args.init_network.clone(),
+        compare: args.init_compare.clone().map(CompareConfig::new),
         engine: engine(args)?,
         ..InitializerConfig::new(weights.to_owned(), objects)
     };

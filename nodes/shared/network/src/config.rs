@@ -57,6 +57,11 @@ impl NetworkConfig {
         Self { name: name.into(), arch, size_px, iterations_train, iterations_infer }
     }
 
+    /// Channels of the feature encoder.
+    pub fn feature_channels(&self) -> usize {
+        self.arch.widths().features
+    }
+
     /// Reads and checks a YAML file.
     ///
     /// # Errors

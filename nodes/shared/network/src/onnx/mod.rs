@@ -66,6 +66,23 @@ pub fn export_onnx(weights: &Weights, config: &NetworkConfig, options: ExportOpt
     Ok(export.graph.finish("raft", &metadata))
 }
 
+/// The bytes of an ONNX file of the feature encoder alone: input `image` (N, 3, S, S), f32 in [-1, 1], output `features`
+/// (N, C, S / 8, S / 8). Features of a rendering and of a real crop resemble each other where they show the same surface.
+///
+/// # Errors
+/// The size is out of range, or the weights belong to another architecture.
+pub fn export_features(weights: &Weights, config: &NetworkConfig, size_px: usize) -> Result<Vec<u8>> {
+    check_size(size_px)?;
+    Raft::new(weights, config, &burn::tensor::Device::flex())?;
+    let side = size_px / 8;
+    let mut export = Export { graph: Builder::default(), weights, arch: config.arch, batch: None, side };
+    let image = export.graph.input("image", None, &[3, size_px, size_px]);
+    let features = export.encoder(&image, "fnet", true);
+    export.graph.output("features", &features, None, &[config.feature_channels(), side, side]);
+    let info = serde_json::to_string(&weights.info).expect("plain struct");
+    Ok(export.graph.finish("features", &[("pseudoflow", info)]))
+}
+
 /// An export in progress.
 struct Export<'a> {
     graph: Builder,

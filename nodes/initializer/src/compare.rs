@@ -1,0 +1,219 @@
+//! Render and compare, before there is a pose: the object seen from all sides, held against the image in the feature space of
+//! the flow network.
+//!
+//! The flow network's encoder was trained so that the features of a rendering and of a real crop agree where they show the
+//! same surface. A view scores the mean cosine between its features and the crop's over the cells that show the object, at
+//! the best of a few shifts and sizes.
+
+mod views;
+
+use crate::InitializerError;
+use nalgebra::{Point2, Translation3};
+use pseudoflow_geometry::{Crop, Intrinsics, Pose};
+use pseudoflow_imaging::{Object, ObjectSet, RgbImage, resample};
+use pseudoflow_inference::{Engine, EngineConfig, Input, Output, normalise, open};
+use pseudoflow_network::{NetworkConfig, Weights, export_features};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use views::{View, views};
+
+/// How the views of an object are compared with an image.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CompareConfig {
+    /// Weights of the flow network for the same objects (RAFT-small, `.safetensors`).
+    pub model: PathBuf,
+    /// Directions from which each object is rendered.
+    #[serde(default = "default_directions")]
+    pub directions: u32,
+    /// Turns about the line of sight for each direction.
+    #[serde(default = "default_turns")]
+    pub turns: u32,
+}
+
+fn default_directions() -> u32 {
+    64
+}
+
+fn default_turns() -> u32 {
+    12
+}
+
+impl CompareConfig {
+    /// The defaults for a flow network.
+    #[must_use]
+    pub fn new(model: PathBuf) -> Self {
+        Self { model, directions: default_directions(), turns: default_turns() }
+    }
+
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// Names the first setting out of range.
+    pub fn check(&self) -> Result<(), InitializerError> {
+        let count = |v: u32| (4..=1000).contains(&v);
+        let rules = [("compare.directions", self.directions), ("compare.turns", self.turns)];
+        match rules.into_iter().find(|(_, v)| !count(*v)) {
+            Some((field, v)) => Err(InitializerError::Setting { field, got: f64::from(v), wanted: "4 to 1000" }),
+            None if !self.model.is_file() => {
+                Err(InitializerError::Model { path: self.model.clone(), cause: "no such file".into() })
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Width and height of the crops that are compared, pixels.
+pub(crate) const SIZE_PX: u32 = 96;
+/// Cells across a crop.
+pub(crate) const CELLS: usize = SIZE_PX as usize / 8;
+/// Side of a crop over the larger side of the object's projection.
+pub(crate) const MARGIN: f64 = 1.25;
+/// Sizes of the object that are tried, relative to the one that was detected.
+const SIZES: [f64; 3] = [0.84, 1.0, 1.19];
+/// Largest shift that is tried, cells.
+const SHIFT: i32 = 2;
+
+/// The feature encoder and the views of all objects.
+pub struct Comparer {
+    encoder: Encoder,
+    views: BTreeMap<u32, Vec<View>>,
+}
+
+/// How well a pose explains an image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Match {
+    /// The pose, metres.
+    pub camera_from_object: Pose,
+    /// Mean cosine of the features, -1 to 1.
+    pub similarity: f64,
+}
+
+/// The encoder of a flow network.
+pub(crate) struct Encoder {
+    engine: Box<dyn Engine>,
+    channels: usize,
+    planes: Vec<f32>,
+    features: Vec<f32>,
+}
+
+impl Encoder {
+    /// Features of each cell of `n` crops (interleaved RGB), each of length one: n x CELLS^2 x channels.
+    pub(crate) fn encode(&mut self, rgb: &[u8]) -> Result<Vec<f32>, InitializerError> {
+        let (area, cells) = ((SIZE_PX * SIZE_PX) as usize, CELLS * CELLS);
+        let n = rgb.len() / (3 * area);
+        self.planes.resize(rgb.len(), 0.0);
+        normalise(rgb, area, &mut self.planes);
+        self.features.resize(n * self.channels * cells, 0.0);
+        let shape = [n, 3, SIZE_PX as usize, SIZE_PX as usize];
+        let image = Input { name: "image", shape: &shape, data: &self.planes };
+        self.engine.run(&[image], &mut [Output { name: "features", data: &mut self.features }])?;
+        let channels = self.channels;
+        let mut by_cell = vec![0.0; self.features.len()];
+        let planes = self.features.par_chunks_exact(channels * cells);
+        by_cell.par_chunks_exact_mut(channels * cells).zip(planes).for_each(|(out, planes)| {
+            for (cell, feature) in out.chunks_exact_mut(channels).enumerate() {
+                (0..channels).for_each(|c| feature[c] = planes[c * cells + cell]);
+                let norm = feature.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-6);
+                feature.iter_mut().for_each(|v| *v /= norm);
+            }
+        });
+        Ok(by_cell)
+    }
+}
+
+impl Comparer {
+    /// Renders all objects from all sides and encodes what is seen.
+    ///
+    /// # Errors
+    /// When the weights are not those of a flow network, or the engine cannot be opened.
+    pub fn open(config: &CompareConfig, objects: &ObjectSet, engine: &EngineConfig) -> Result<Self, InitializerError> {
+        let failed = |cause: String| InitializerError::Model { path: config.model.clone(), cause };
+        let network = NetworkConfig::nano();
+        let weights = Weights::load(&config.model, &network).map_err(|e| failed(e.to_string()))?;
+        let onnx = export_features(&weights, &network, SIZE_PX as usize).map_err(|e| failed(e.to_string()))?;
+        let channels = network.feature_channels();
+        let engine = open(&onnx, engine)?;
+        let mut encoder = Encoder { engine, channels, planes: Vec::new(), features: Vec::new() };
+        let mut all = BTreeMap::new();
+        for object in objects.iter() {
+            all.insert(object.id, views(object, config, &mut encoder)?);
+        }
+        Ok(Self { encoder, views: all })
+    }
+
+    /// The views of an object that explain best what is seen in a square of `side_px` around `centre_px`, the best first; at
+    /// most `count`, each turned from the others.
+    ///
+    /// # Errors
+    /// What the engine says.
+    pub fn best(
+        &mut self,
+        image: &RgbImage,
+        camera: &Intrinsics,
+        object: &Object,
+        (centre_px, side_px): (Point2<f64>, f64),
+        count: usize,
+    ) -> Result<Vec<Match>, InitializerError> {
+        let crop = |size: f64| {
+            let side = MARGIN * size * side_px;
+            Crop { x0: centre_px.x - side / 2.0, y0: centre_px.y - side / 2.0, side, size_px: SIZE_PX }
+        };
+        let crops = SIZES.map(crop);
+        let rgb: Vec<u8> = crops.iter().flat_map(|crop| resample(image, crop).into_raw()).collect();
+        let features = self.encoder.encode(&rgb)?;
+        let per_crop = features.len() / crops.len();
+        let views = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
+        let scored = |(i, view): (usize, &View)| {
+            let tries = features.chunks_exact(per_crop).enumerate().map(|(size, features)| {
+                let (similarity, shift) = view.similarity(features, SHIFT);
+                (similarity, size, shift)
+            });
+            let best = tries.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f32::MIN, 0, [0, 0]));
+            (i, best)
+        };
+        let mut scores: Vec<_> = views.par_iter().enumerate().map(scored).collect();
+        scores.sort_by(|a, b| b.1.0.total_cmp(&a.1.0).then(a.0.cmp(&b.0)));
+        let mut found: Vec<Match> = Vec::new();
+        for (i, (similarity, size, shift)) in scores {
+            let crop = &crops[size];
+            let cell_px = crop.side / CELLS as f64;
+            let middle = [0, 1].map(|k| [crop.x0, crop.y0][k] + crop.side / 2.0 + f64::from(shift[k]) * cell_px);
+            let place = (Point2::from(middle), crop.side / MARGIN);
+            let Some(pose) = placed(object, &views[i], camera, place) else { continue };
+            let turned = |m: &Match| pseudoflow_geometry::rotation_angle_rad(&m.camera_from_object, &pose) > 0.4;
+            if found.iter().all(turned) {
+                found.push(Match { camera_from_object: pose, similarity: f64::from(similarity) });
+            }
+            if found.len() == count {
+                break;
+            }
+        }
+        Ok(found)
+    }
+}
+
+/// The pose at which an object, turned as in a view, fills a place of the image: middle and larger side of its projection.
+fn placed(object: &Object, view: &View, camera: &Intrinsics, (at, side_px): (Point2<f64>, f64)) -> Option<Pose> {
+    let ray = camera.unproject(&at, 1.0).coords;
+    let to_ray = nalgebra::UnitQuaternion::rotation_between(&nalgebra::Vector3::z(), &ray)?;
+    let rotation = to_ray * view.rotation;
+    let mut z_m = camera.fx * object.diameter_m / side_px.max(1.0);
+    let mut at_px = at;
+    for _ in 0..6 {
+        let centre = rotation * object.box_centre_m();
+        let middle = camera.unproject(&at_px, z_m);
+        let pose = Pose::from_parts(Translation3::from(middle.coords - centre.coords), rotation);
+        let (seen, seen_px) = crate::detect::extent(object, &pose, camera)?;
+        if (seen - at).norm() < 0.1 && (seen_px / side_px - 1.0).abs() < 0.002 {
+            return Some(pose);
+        }
+        at_px += at - seen;
+        z_m *= seen_px / side_px;
+    }
+    let centre = rotation * object.box_centre_m();
+    Some(Pose::from_parts(Translation3::from(camera.unproject(&at_px, z_m).coords - centre.coords), rotation))
+}

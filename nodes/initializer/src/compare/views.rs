@@ -1,0 +1,159 @@
+//! The views of an object: directions spread evenly over the sphere, each turned about the line of sight.
+
+use super::{CELLS, CompareConfig, Encoder, MARGIN, SIZE_PX};
+use crate::InitializerError;
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use pseudoflow_geometry::{Intrinsics, Pose};
+use pseudoflow_imaging::Object;
+use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View as Rendered};
+
+/// An object seen from one side.
+pub(super) struct View {
+    /// `camera_from_object`, for an object on the optical axis.
+    pub(super) rotation: UnitQuaternion<f64>,
+    /// Cells that show the object, and their features one behind the other.
+    cells: Vec<[i32; 2]>,
+    features: Vec<f32>,
+}
+
+/// Cells with less of the object say nothing, share of their pixels.
+const LEAST_COVER: f64 = 0.6;
+/// Views are encoded so many at a time.
+const BATCH: usize = 32;
+/// Distance of the camera, diameters: objects on a table.
+const DISTANCE: f64 = 4.0;
+
+impl View {
+    /// Mean cosine with the features of a crop (CELLS^2 x channels) at the best shift, and that shift, cells.
+    pub(super) fn similarity(&self, crop: &[f32], reach: i32) -> (f32, [i32; 2]) {
+        let channels = self.features.len() / self.cells.len().max(1);
+        let size = CELLS as i32;
+        let mut best = (f32::MIN, [0, 0]);
+        for shift in (-reach..=reach).flat_map(|y| (-reach..=reach).map(move |x| [x, y])) {
+            let mut sum = 0.0;
+            for ([x, y], feature) in self.cells.iter().zip(self.features.chunks_exact(channels.max(1))) {
+                let (x, y) = (x + shift[0], y + shift[1]);
+                if (0..size).contains(&x) && (0..size).contains(&y) {
+                    let at = (y * size + x) as usize * channels;
+                    sum += dot(feature, &crop[at..at + channels]);
+                }
+            }
+            let mean = sum / self.cells.len().max(1) as f32;
+            if mean > best.0 {
+                best = (mean, shift);
+            }
+        }
+        best
+    }
+}
+
+/// Eight sums side by side, so that the compiler can use wide registers.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut sums = [0.0_f32; 8];
+    for (a, b) in a.as_chunks::<8>().0.iter().zip(b.as_chunks::<8>().0) {
+        (0..8).for_each(|i| sums[i] += a[i] * b[i]);
+    }
+    sums.iter().sum()
+}
+
+/// Renders and encodes all views of an object.
+pub(super) fn views(
+    object: &Object,
+    config: &CompareConfig,
+    encoder: &mut Encoder,
+) -> Result<Vec<View>, InitializerError> {
+    let rotations = rotations(object, config);
+    let mut rasteriser = SoftwareRasteriser::new();
+    let failed = |e: pseudoflow_imaging::raster::RasterError| InitializerError::Render(e.to_string());
+    rasteriser.add_object(object.id, &object.mesh).map_err(failed)?;
+    let mut views = Vec::with_capacity(rotations.len());
+    for batch in rotations.chunks(BATCH) {
+        let asked: Vec<Rendered> = batch.iter().map(|rotation| seen(object, rotation)).collect();
+        let renderings = rasteriser.render(&asked).map_err(failed)?;
+        let rgb: Vec<u8> = renderings.iter().flat_map(|r| r.rgb.as_raw().iter().copied()).collect();
+        let features = encoder.encode(&rgb)?;
+        let per_view = features.len() / batch.len();
+        for ((rotation, rendering), features) in batch.iter().zip(&renderings).zip(features.chunks_exact(per_view)) {
+            let channels = per_view / (CELLS * CELLS);
+            let cells = covered(&rendering.mask);
+            let of_cell = |[x, y]: &[i32; 2]| &features[(*y as usize * CELLS + *x as usize) * channels..][..channels];
+            let features = cells.iter().flat_map(of_cell).copied().collect();
+            views.push(View { rotation: *rotation, cells, features });
+        }
+    }
+    Ok(views)
+}
+
+/// The object on the optical axis, its projection filling the crop but for the margin.
+fn seen(object: &Object, rotation: &UnitQuaternion<f64>) -> Rendered {
+    let centre = rotation * object.box_centre_m();
+    let middle = Point3::new(0.0, 0.0, DISTANCE * object.diameter_m);
+    let pose = Pose::from_parts(Translation3::from(middle - centre), *rotation);
+    let one = Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+    let (at, side) = crate::detect::extent(object, &pose, &one).unwrap_or((nalgebra::Point2::origin(), 0.3));
+    let focal = f64::from(SIZE_PX) / MARGIN / side;
+    let half = (f64::from(SIZE_PX) - 1.0) / 2.0;
+    let intrinsics = Intrinsics { fx: focal, fy: focal, cx: half - focal * at.x, cy: half - focal * at.y };
+    Rendered { object_id: object.id, camera_from_object: pose, intrinsics, width: SIZE_PX, height: SIZE_PX }
+}
+
+/// Cells that are mostly of the object.
+fn covered(mask: &[u8]) -> Vec<[i32; 2]> {
+    let size = SIZE_PX as usize;
+    let cover = |x: usize, y: usize| {
+        let inside = (0..64).filter(|i| mask[(8 * y + i / 8) * size + 8 * x + i % 8] != 0).count();
+        inside as f64 / 64.0
+    };
+    let all = (0..CELLS).flat_map(|y| (0..CELLS).map(move |x| (x, y)));
+    all.filter(|&(x, y)| cover(x, y) >= LEAST_COVER).map(|(x, y)| [x as i32, y as i32]).collect()
+}
+
+/// Directions on a Fibonacci spiral, each with all turns; of those that look the same, one.
+fn rotations(object: &Object, config: &CompareConfig) -> Vec<UnitQuaternion<f64>> {
+    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let n = f64::from(config.directions);
+    let mut rotations = Vec::new();
+    for i in 0..config.directions {
+        let z = 1.0 - (2.0 * f64::from(i) + 1.0) / n;
+        let (sin, cos) = (golden * f64::from(i)).sin_cos();
+        let radius = (1.0 - z * z).sqrt();
+        let towards_camera = Vector3::new(radius * cos, radius * sin, z);
+        let half_turn = || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let facing = UnitQuaternion::rotation_between(&towards_camera, &-Vector3::z()).unwrap_or_else(half_turn);
+        for turn in 0..config.turns {
+            let angle = std::f64::consts::TAU * f64::from(turn) / f64::from(config.turns);
+            let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle) * facing;
+            let pose = Pose::from_parts(Translation3::new(0.0, 0.0, DISTANCE * object.diameter_m), rotation);
+            let canonical = object.symmetries.canonical(&pose);
+            // Equal views have one canonical pose; the others would only be compared twice.
+            if (canonical.rotation.inverse() * rotation).angle() < 1e-6 {
+                rotations.push(rotation);
+            }
+        }
+    }
+    rotations
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pseudoflow_imaging::ObjectSet;
+    use std::path::Path;
+
+    #[test]
+    fn views_cover_all_rotations_and_symmetric_objects_need_half_of_them() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/objects/tabletop");
+        let objects = ObjectSet::load(&folder).unwrap();
+        let config = CompareConfig { model: "".into(), directions: 64, turns: 12 };
+        let all = rotations(objects.get(1).unwrap(), &config);
+        assert_eq!(all.len(), 64 * 12);
+        let mut worst: f64 = 0.0;
+        for i in 0..50 {
+            let any = UnitQuaternion::from_euler_angles(0.7 * f64::from(i), 1.3 * f64::from(i), 2.1 * f64::from(i));
+            worst = worst.max(all.iter().map(|r| r.angle_to(&any)).fold(f64::MAX, f64::min));
+        }
+        assert!(worst.to_degrees() < 30.0, "{} deg", worst.to_degrees());
+        let brick = rotations(objects.get(7).unwrap(), &config).len();
+        assert!((64 * 12 * 4 / 10..64 * 12 * 6 / 10).contains(&brick), "{brick}");
+    }
+}
