@@ -16,6 +16,7 @@ pub struct DetectorNetwork {
     logits: Vec<f32>,
     offsets: Vec<f32>,
     surface: Vec<f32>,
+    rectangles: Vec<f32>,
 }
 
 /// The network's answer to one image.
@@ -27,6 +28,8 @@ pub struct Answer<'a> {
     pub offsets: &'a [f32],
     /// (3 objects, cells).
     pub surface: &'a [f32],
+    /// (4, cells).
+    pub rectangles: &'a [f32],
     /// The cells.
     pub grid: &'a Grid,
     /// Objects by place.
@@ -56,6 +59,7 @@ impl DetectorNetwork {
             logits: vec![0.0; config.objects * cells],
             offsets: vec![0.0; 2 * CORNERS * config.objects * cells],
             surface: vec![0.0; 3 * config.objects * cells],
+            rectangles: vec![0.0; 4 * cells],
             config,
             grid,
             object_ids: info.object_ids,
@@ -93,12 +97,14 @@ impl DetectorNetwork {
             Output { name: "classes", data: &mut self.logits },
             Output { name: "corners", data: &mut self.offsets },
             Output { name: "surface", data: &mut self.surface },
+            Output { name: "rectangles", data: &mut self.rectangles },
         ];
         self.engine.run(&[image], &mut outputs)?;
         Ok(Answer {
             logits: &self.logits,
             offsets: &self.offsets,
             surface: &self.surface,
+            rectangles: &self.rectangles,
             grid: &self.grid,
             object_ids: &self.object_ids,
         })

@@ -16,18 +16,16 @@ pub struct Vote {
     pub centre_px: [f32; 2],
     /// The point of the surface that is seen there, diameters from the middle of the object's box.
     pub surface: [f32; 3],
+    /// Left, top, right and bottom of the object's projection, pixels of the input.
+    pub rectangle_px: [f32; 4],
 }
 
 impl Vote {
-    /// Middle and larger side of the box around the corners, pixels.
+    /// Middle and larger side of the rectangle, pixels.
     #[must_use]
     pub fn extent(&self) -> ([f32; 2], f32) {
-        let range = |k: usize| {
-            let along = self.corners_px.iter().map(|c| c[k]);
-            (along.clone().fold(f32::MAX, f32::min), along.fold(f32::MIN, f32::max))
-        };
-        let (x, y) = (range(0), range(1));
-        ([(x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0], (x.1 - x.0).max(y.1 - y.0))
+        let [left, top, right, bottom] = self.rectangle_px;
+        ([(left + right) / 2.0, (top + bottom) / 2.0], (right - left).max(bottom - top).max(1.0))
     }
 }
 
@@ -52,6 +50,9 @@ pub fn votes(answer: &Answer<'_>, min_score: f32) -> Vec<Vote> {
                 corners_px: std::array::from_fn(corner),
                 centre_px: cell.centre_px,
                 surface: std::array::from_fn(surface),
+                rectangle_px: std::array::from_fn(|e| {
+                    cell.centre_px[e % 2] + cell.unit_px * answer.rectangles[e * cells + i]
+                }),
             });
         }
     }

@@ -124,7 +124,10 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
             let estimates = find_all(args, initializer, &dataset)?;
             let part = args.csv().with_extension("csv.part");
             let mut writer = ResultsWriter::create(&part)?;
-            writer.write_image(&estimates)?;
+            let image = |e: &Estimate| (e.scene_id, e.image_id);
+            for of_image in estimates.chunk_by(|a, b| image(a) == image(b)) {
+                writer.write_image(of_image)?;
+            }
             std::fs::rename(&part, args.csv())
                 .with_context(|| format!("{}: cannot be written", args.csv().display()))?;
             vec![NamedEstimates { name: "init".into(), estimates }]

@@ -31,9 +31,21 @@ fn votes_for(object: &Object, class: usize, at: &Pose, count: usize, wrong: usiz
         let seen = K.project(&(at * point)).unwrap();
         let surface = ((point - object.box_centre_m()) / object.diameter_m).map(|v| v as f32 + noise(0.02));
         let centre_px = if i < wrong { [0.0; 2] } else { [seen.x as f32, seen.y as f32] };
-        Vote { class, score: 0.9 - 0.01 * i as f32, corners_px, centre_px, surface: surface.into() }
+        Vote {
+            class,
+            score: 0.9 - 0.01 * i as f32,
+            corners_px,
+            centre_px,
+            surface: surface.into(),
+            rectangle_px: rectangle(&corners_px),
+        }
     };
     (0..count).map(vote).collect()
+}
+
+fn rectangle(corners_px: &[[f32; 2]; 8]) -> [f32; 4] {
+    let edge = |k: usize, start: f32, pick: fn(f32, f32) -> f32| corners_px.iter().map(|c| c[k]).fold(start, pick);
+    [edge(0, f32::MAX, f32::min), edge(1, f32::MAX, f32::min), edge(0, f32::MIN, f32::max), edge(1, f32::MIN, f32::max)]
 }
 
 #[test]
@@ -102,6 +114,7 @@ fn votes_for_nothing_make_no_pose() {
             corners_px: std::array::from_fn(|_| wild()),
             centre_px: wild(),
             surface: [0.1; 3],
+            rectangle_px: [100.0, 60.0, 200.0, 160.0],
         })
         .collect();
     let found = solve(&votes, object, &K, &DetectConfig::default(), &mut ChaCha8Rng::seed_from_u64(6)).unwrap();

@@ -45,7 +45,8 @@ pub(crate) fn example(scene: &SceneSample, objects: &ObjectSet, grid: &Grid, rng
         let Some((class, object)) = known(instance.object_id) else { continue };
         let pose = object.symmetries.canonical(&instance.camera_from_object);
         let corners = object.box_corners_m().map(|corner| turned.to_from * (pose * corner));
-        let label = turned.label(class, object, corners);
+        let hull = object.hull_m.iter().map(|point| turned.to_from * (pose * point));
+        let label = turned.label(class, object, corners, hull);
         let labelled = label.is_some();
         truth.instances.extend(label);
         places.push((if labelled { truth.instances.len() as u8 } else { 0 }, pose.inverse(), object));
@@ -122,7 +123,13 @@ impl Turned {
     }
 
     /// `None` when a corner is not well before the camera.
-    fn label(&self, class: usize, object: &Object, corners: [Point3<f64>; CORNERS]) -> Option<InstanceTruth> {
+    fn label(
+        &self,
+        class: usize,
+        object: &Object,
+        corners: [Point3<f64>; CORNERS],
+        hull: impl Iterator<Item = Point3<f64>>,
+    ) -> Option<InstanceTruth> {
         let near = 0.1 * object.diameter_m;
         let projected: Vec<Point2<f64>> =
             corners.iter().filter(|c| c.z > near).filter_map(|c| self.to.project(c)).collect();
@@ -133,7 +140,13 @@ impl Turned {
             let along = projected.iter().map(|p| p[k]);
             along.clone().fold(f64::MIN, f64::max) - along.fold(f64::MAX, f64::min)
         };
+        let seen: Vec<Point2<f64>> = hull.filter_map(|p| self.to.project(&p)).collect();
+        let edge = |k: usize, start: f64, pick: fn(f64, f64) -> f64| seen.iter().map(|p| p[k]).fold(start, pick) as f32;
+        let (low, high) = (f64::min, f64::max);
+        let rectangle_px =
+            [edge(0, f64::MAX, low), edge(1, f64::MAX, low), edge(0, f64::MIN, high), edge(1, f64::MIN, high)];
         Some(InstanceTruth {
+            rectangle_px,
             class,
             corners_m: corners.map(|c| [c.x as f32, c.y as f32, c.z as f32]),
             diameter_m: object.diameter_m as f32,

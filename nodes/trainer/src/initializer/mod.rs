@@ -38,6 +38,8 @@ pub struct InitializerStep {
     pub space_diameters: f32,
     /// Mean distance of the surface points, diameters.
     pub surface_diameters: f32,
+    /// Mean distance of the rectangles' edges, sides of the projections.
+    pub rectangle_sides: f32,
     /// Global gradient norm before clipping.
     pub grad_norm: f64,
     /// Its learning rate.
@@ -45,12 +47,14 @@ pub struct InitializerStep {
 }
 
 impl Row for InitializerStep {
-    const HEADER: &'static str = "step,loss,class,space_diameters,surface_diameters,grad_norm,learning_rate";
+    const HEADER: &'static str =
+        "step,loss,class,space_diameters,surface_diameters,rectangle_sides,grad_norm,learning_rate";
     const CURVES: &'static [Curve<Self>] = &[
         ("loss", "#b03020", |r| r.loss),
         ("class", "#2050a0", |r| r.class),
         ("corners, diameters", "#208040", |r| r.space_diameters),
         ("surface, diameters", "#a07010", |r| r.surface_diameters),
+        ("rectangle, sides", "#707070", |r| r.rectangle_sides),
     ];
 
     fn step(&self) -> u64 {
@@ -58,8 +62,11 @@ impl Row for InitializerStep {
     }
 
     fn line(&self) -> String {
-        let Self { step, loss, class, space_diameters, surface_diameters, grad_norm, learning_rate } = self;
-        format!("{step},{loss},{class},{space_diameters},{surface_diameters},{grad_norm},{learning_rate}")
+        let Self { step, loss, class, space_diameters, surface_diameters, rectangle_sides, grad_norm, learning_rate } =
+            self;
+        format!(
+            "{step},{loss},{class},{space_diameters},{surface_diameters},{rectangle_sides},{grad_norm},{learning_rate}"
+        )
     }
 
     fn parse(line: &str) -> Option<Self> {
@@ -70,6 +77,7 @@ impl Row for InitializerStep {
             class: parts.next()?.parse().ok()?,
             space_diameters: parts.next()?.parse().ok()?,
             surface_diameters: parts.next()?.parse().ok()?,
+            rectangle_sides: parts.next()?.parse().ok()?,
             grad_norm: parts.next()?.parse().ok()?,
             learning_rate: parts.next()?.parse().ok()?,
         };
@@ -123,12 +131,12 @@ pub fn train_initializer(
         let batch = prefetch.next()?;
         let trunk = config.trunk_at(state.step());
         log.reports.push(step(&mut state, &batch, trunk)?);
-        let [loss, corners, surface]: [fn(&InitializerStep) -> f32; 3] =
-            [|r| r.loss, |r| r.space_diameters, |r| r.surface_diameters];
-        let [loss, corners, surface] = [loss, corners, surface].map(|value| log.recent(100, value));
+        let values: [fn(&InitializerStep) -> f32; 4] =
+            [|r| r.loss, |r| r.space_diameters, |r| r.surface_diameters, |r| r.rectangle_sides];
+        let [loss, corners, surface, edges] = values.map(|value| log.recent(100, value));
         progress.step(
             state.step(),
-            &format!("loss {loss:.3}  off by (diameters): corners {corners:.3}, surface {surface:.3}"),
+            &format!("loss {loss:.3}  off by (diameters): corners {corners:.3}, surface {surface:.3}; rectangle off by {edges:.3} sides"),
         );
         if state.step().is_multiple_of(config.checkpoint_every) {
             save_checkpoint(config, &state, &log)?;
@@ -146,6 +154,7 @@ fn step(state: &mut State, batch: &data::Batch, trunk: Trunk) -> Result<Initiali
         class: loss.class,
         space_diameters: loss.space_diameters,
         surface_diameters: loss.surface_diameters,
+        rectangle_sides: loss.rectangle_sides,
         grad_norm: stats.grad_norm,
         learning_rate: stats.lr,
     })

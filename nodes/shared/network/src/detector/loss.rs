@@ -30,6 +30,8 @@ pub struct InstanceTruth {
     pub diameter_m: f32,
     /// Larger side of the projection, pixels of the input.
     pub side_px: f32,
+    /// Left, top, right and bottom of the projection, hidden parts included, pixels of the input.
+    pub rectangle_px: [f32; 4],
 }
 
 /// What the network says about a batch.
@@ -41,6 +43,8 @@ pub struct DetectorOutput<'a> {
     pub offsets: &'a [f32],
     /// (n, 3 objects, cells).
     pub surface: &'a [f32],
+    /// (n, 4, cells).
+    pub rectangles: &'a [f32],
     /// Objects.
     pub objects: usize,
 }
@@ -54,11 +58,13 @@ pub struct LossWeights {
     pub image: f32,
     /// Of the surface point, in diameters.
     pub surface: f32,
+    /// Of the rectangle's edges, in sides.
+    pub rectangle: f32,
 }
 
 impl Default for LossWeights {
     fn default() -> Self {
-        Self { space: 3.0, image: 1.0, surface: 6.0 }
+        Self { space: 3.0, image: 1.0, surface: 6.0, rectangle: 4.0 }
     }
 }
 
@@ -75,6 +81,8 @@ pub struct DetectionLoss {
     pub image_sides: f32,
     /// Mean distance of the surface points, diameters.
     pub surface_diameters: f32,
+    /// Mean distance of the rectangle's edges, sides of the projection.
+    pub rectangle_sides: f32,
     /// Cells inside objects.
     pub positives: usize,
     /// As [`DetectorOutput::logits`].
@@ -83,6 +91,8 @@ pub struct DetectionLoss {
     pub offset_gradient: Vec<f32>,
     /// As [`DetectorOutput::surface`].
     pub surface_gradient: Vec<f32>,
+    /// As [`DetectorOutput::rectangles`].
+    pub rectangle_gradient: Vec<f32>,
 }
 
 /// Focal loss's constants (Lin et al. 2017).
@@ -98,6 +108,7 @@ struct ImageLoss {
     space: f64,
     image: f64,
     surface: f64,
+    rectangle: f64,
 }
 
 /// A cell inside an object that its level takes.
@@ -128,41 +139,50 @@ pub fn detection_loss(
     let mut logit_gradient = vec![0.0; output.logits.len()];
     let mut offset_gradient = vec![0.0; output.offsets.len()];
     let mut surface_gradient = vec![0.0; output.surface.len()];
+    let mut rectangle_gradient = vec![0.0; output.rectangles.len()];
     let class_scale = 1.0 / count.max(1) as f32;
     let (logit_chunk, offset_chunk, surface_chunk) =
         (objects * cells, objects * 2 * CORNERS * cells, objects * 3 * cells);
     let images: Vec<ImageLoss> = (
         output.logits.par_chunks_exact(logit_chunk),
         output.offsets.par_chunks_exact(offset_chunk),
-        output.surface.par_chunks_exact(surface_chunk),
+        (output.surface.par_chunks_exact(surface_chunk), output.rectangles.par_chunks_exact(4 * cells)),
         logit_gradient.par_chunks_exact_mut(logit_chunk),
         offset_gradient.par_chunks_exact_mut(offset_chunk),
-        surface_gradient.par_chunks_exact_mut(surface_chunk),
+        (surface_gradient.par_chunks_exact_mut(surface_chunk), rectangle_gradient.par_chunks_exact_mut(4 * cells)),
         truth.par_iter(),
         positives.par_iter(),
     )
         .into_par_iter()
-        .map(|(logits, offsets, surface, by_logit, by_offset, by_surface, scene, positives)| {
+        .map(|(logits, offsets, (surface, rectangles), by_logit, by_offset, by_more, scene, positives)| {
+            let (by_surface, by_rectangle) = by_more;
             let class = focal(logits, scene, positives, class_scale, by_logit);
             let corners = Corners { scene, grid, weights, scale: 1.0 / (weight_sum * CORNERS as f32) };
             let (space, image) = corners.loss(offsets, positives, by_offset);
             let surface = corners.surface(surface, positives, by_surface);
-            ImageLoss { class, space, image, surface }
+            let rectangle = corners.rectangle(rectangles, positives, by_rectangle);
+            ImageLoss { class, space, image, surface, rectangle }
         })
         .collect();
     let sum = |part: fn(&ImageLoss) -> f64| images.iter().map(part).sum::<f64>() as f32;
     let (class, space, image) = (sum(|i| i.class), sum(|i| i.space), sum(|i| i.image));
-    let surface = sum(|i| i.surface);
+    let (surface, rectangle) = (sum(|i| i.surface), sum(|i| i.rectangle));
     DetectionLoss {
-        total: class + weights.space * space + weights.image * image + weights.surface * surface,
+        total: class
+            + weights.space * space
+            + weights.image * image
+            + weights.surface * surface
+            + weights.rectangle * rectangle,
         class,
         space_diameters: space,
         image_sides: image,
         surface_diameters: surface,
+        rectangle_sides: rectangle,
         positives: count,
         logit_gradient,
         offset_gradient,
         surface_gradient,
+        rectangle_gradient,
     }
 }
 
@@ -209,7 +229,7 @@ fn softplus(x: f32) -> f32 {
     x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 
-/// The parts of corners and surface for one image.
+/// The parts of corners, surface and rectangle for one image.
 struct Corners<'a> {
     scene: &'a SceneTruth,
     grid: &'a Grid,
@@ -240,6 +260,26 @@ impl Corners<'_> {
             }
         }
         (space, image)
+    }
+
+    /// The rectangles' part: the mean distance of the four edges.
+    fn rectangle(&self, rectangles: &[f32], positives: &[Positive], gradient: &mut [f32]) -> f64 {
+        let cells = self.grid.cells.len();
+        let mut sum = 0.0_f64;
+        for positive in positives {
+            let cell = &self.grid.cells[positive.cell];
+            let instance = &self.scene.instances[positive.instance];
+            let weight = positive.weight * self.scale * CORNERS as f32 / 4.0;
+            for (edge, truth) in instance.rectangle_px.iter().enumerate() {
+                let at = edge * cells + positive.cell;
+                let found = cell.centre_px[edge % 2] + cell.unit_px * rectangles[at];
+                let away = (found - truth) / instance.side_px;
+                let (value, slope) = rounded(away * away);
+                sum += f64::from(weight * value);
+                gradient[at] = self.weights.rectangle * weight * 2.0 * slope * away * cell.unit_px / instance.side_px;
+            }
+        }
+        sum
     }
 
     /// The surface points' part.

@@ -1,7 +1,8 @@
 //! The initializer's network (method.md, pipeline step 1; Hu et al., "Wide-Depth-Range 6D Object Pose Estimation in
 //! Space", CVPR 2021): every location inside an object says which object it is and where the eight corners of its
 //! bounding box project, at three resolutions. Beyond the recipe, it also says which point of the object's surface it shows:
-//! texture tells that from its neighbourhood alone, long before a network has learned to see a whole box.
+//! texture tells that from its neighbourhood alone, long before a network has learned to see a whole box. And it gives the upright
+//! rectangle around the projection: corners that are not sure how a box is turned shrink to its middle and say nothing of its size.
 //!
 //! Backbone: the feature encoder of RAFT-small to 1/8 (so its published weights start it), residual stages at 1/8, 1/16 and
 //! 1/32, a feature pyramid over them, and one head for all levels.
@@ -38,6 +39,7 @@ pub struct Detector {
     class: Conv,
     corners: Conv,
     surface: Conv,
+    rectangle: Conv,
     parameters: Vec<Parameter>,
 }
 
@@ -65,6 +67,7 @@ fn layout(config: &DetectorConfig) -> Vec<TensorSpec> {
     list.conv("class", config.objects, config.pyramid, [3, 3], None);
     list.conv("corners", 2 * CORNERS * config.objects, config.pyramid, [3, 3], None);
     list.conv("surface", 3 * config.objects, config.pyramid, [3, 3], None);
+    list.conv("rectangle", 4, config.pyramid, [3, 3], None);
     for spec in list.0.iter_mut().filter(|spec| spec.name == "class.bias") {
         // At first everything is background (Lin et al., "Focal Loss for Dense Object Detection", section 3.3).
         spec.init = crate::model::Init::Constant(-4.6);
@@ -104,14 +107,16 @@ impl Detector {
             class: conv("class".into()),
             corners: conv("corners".into()),
             surface: conv("surface".into()),
+            rectangle: conv("rectangle".into()),
             parameters: source.into_parameters(),
         })
     }
 
     /// Images (N, 3, H, W) in [-1, 1], H and W multiples of 32, to class logits (N, objects, cells) and corner offsets
     /// (N, 16 objects, cells), in units of [`Cell::unit_px`] from the cell's centre, and surface points (N, 3 objects,
-    /// cells), in units of [`SURFACE_UNIT`] from the middle of the object's box; cells in the order of [`Grid`].
-    pub fn forward(&self, images: Tensor<4>) -> [Tensor<3>; 3] {
+    /// cells), in units of [`SURFACE_UNIT`] from the middle of the object's box, and rectangles (N, 4, cells): left, top, right,
+    /// bottom, as the corners; cells in the order of [`Grid`].
+    pub fn forward(&self, images: Tensor<4>) -> [Tensor<3>; 4] {
         self.heads(self.features(images))
     }
 
@@ -122,7 +127,7 @@ impl Detector {
     }
 
     /// From the trunk's features on.
-    fn heads(&self, mut x: Tensor<4>) -> [Tensor<3>; 3] {
+    fn heads(&self, mut x: Tensor<4>) -> [Tensor<3>; 4] {
         let norm = Norm::Instance;
         let mut levels = Vec::new();
         for (stage, lateral) in self.stages.iter().zip(&self.laterals) {
@@ -134,10 +139,11 @@ impl Detector {
         }
         let heads = levels.into_iter().map(|x| {
             let x = self.tower.iter().fold(x, |x, conv| conv.forward(x, true));
-            [&self.class, &self.corners, &self.surface].map(|conv| flat(conv.forward(x.clone(), false)))
+            [&self.class, &self.corners, &self.surface, &self.rectangle]
+                .map(|conv| flat(conv.forward(x.clone(), false)))
         });
-        let by_level: Vec<[Tensor<3>; 3]> = heads.collect();
-        [0, 1, 2].map(|i| Tensor::cat(by_level.iter().map(|heads| heads[i].clone()).collect(), 2))
+        let by_level: Vec<[Tensor<3>; 4]> = heads.collect();
+        [0, 1, 2, 3].map(|i| Tensor::cat(by_level.iter().map(|heads| heads[i].clone()).collect(), 2))
     }
 }
 
@@ -161,7 +167,7 @@ impl Model for DetectorConfig {
 
     fn hash(&self) -> String {
         fingerprint(&format!(
-            "detector with surface {:?} {:?} {} {}",
+            "detector with surface, rectangle {:?} {:?} {} {}",
             self.input_px, self.widths, self.pyramid, self.objects
         ))
     }
@@ -243,19 +249,26 @@ impl TrainState<DetectorConfig> {
                 Trunk::Trained => features,
                 Trunk::Frozen => features.detach(),
             });
-            let [logits, offsets, surface] = outputs.clone().map(values);
-            let output = DetectorOutput { logits: &logits, offsets: &offsets, surface: &surface, objects };
+            let [logits, offsets, surface, rectangles] = outputs.clone().map(values);
+            let output = DetectorOutput {
+                logits: &logits,
+                offsets: &offsets,
+                surface: &surface,
+                rectangles: &rectangles,
+                objects,
+            };
             let loss = detection_loss(&output, truth, &grid, weights);
             // Linear in the outputs: their gradients are the loss's.
             let slope = |values: &[f32], like: &Tensor<3>| {
                 Tensor::<3>::from_data(TensorData::new(values.to_vec(), like.dims()), &device)
             };
-            let gradients = [&loss.logit_gradient, &loss.offset_gradient, &loss.surface_gradient];
+            let gradients =
+                [&loss.logit_gradient, &loss.offset_gradient, &loss.surface_gradient, &loss.rectangle_gradient];
             let terms = outputs.into_iter().zip(gradients).map(|(output, gradient)| {
                 let by_output = slope(gradient, &output);
                 (output * by_output).sum()
             });
-            let sum = terms.reduce(|a, b| a + b).expect("three outputs");
+            let sum = terms.reduce(|a, b| a + b).expect("four outputs");
             found = Some(loss);
             sum
         })?;

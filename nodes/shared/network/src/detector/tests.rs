@@ -23,7 +23,13 @@ fn scene(grid: &Grid) -> SceneTruth {
         intrinsics: [110.0, 112.0, 47.5, 31.5],
         owner: grid.cells.iter().map(|c| u8::from(inside(c))).collect(),
         surface: grid.cells.iter().map(|c| [0.004 * c.centre_px[0], -0.1, 0.2]).collect(),
-        instances: vec![InstanceTruth { class: 1, corners_m, diameter_m: 0.35, side_px: 36.0 }],
+        instances: vec![InstanceTruth {
+            class: 1,
+            corners_m,
+            diameter_m: 0.35,
+            side_px: 36.0,
+            rectangle_px: [31.0, 15.0, 65.0, 50.0],
+        }],
     }
 }
 
@@ -47,11 +53,12 @@ fn gradients_are_those_of_finite_differences() {
     let logits: Vec<f32> = noise(2 * objects * cells, 1).iter().map(|v| 2.0 * v).collect();
     let offsets = noise(2 * objects * 2 * CORNERS * cells, 2);
     let surface = noise(2 * objects * 3 * cells, 3);
-    let weights = LossWeights { space: 3.0, image: 2.0, surface: 1.5 };
-    let loss = |logits: &[f32], offsets: &[f32], surface: &[f32]| {
-        detection_loss(&DetectorOutput { logits, offsets, surface, objects }, &truth, &grid, &weights)
+    let rectangles = noise(2 * 4 * cells, 4);
+    let weights = LossWeights { space: 3.0, image: 2.0, surface: 1.5, rectangle: 2.5 };
+    let loss = |logits: &[f32], offsets: &[f32], surface: &[f32], rectangles: &[f32]| {
+        detection_loss(&DetectorOutput { logits, offsets, surface, rectangles, objects }, &truth, &grid, &weights)
     };
-    let at = loss(&logits, &offsets, &surface);
+    let at = loss(&logits, &offsets, &surface, &rectangles);
     assert!(
         at.positives > 16
             && at.class > 0.0
@@ -74,9 +81,10 @@ fn gradients_are_those_of_finite_differences() {
         values[i] += by;
         values
     };
-    check(&at.logit_gradient, &|i, by| loss(&moved(&logits, i, by), &offsets, &surface).total);
-    check(&at.offset_gradient, &|i, by| loss(&logits, &moved(&offsets, i, by), &surface).total);
-    check(&at.surface_gradient, &|i, by| loss(&logits, &offsets, &moved(&surface, i, by)).total);
+    check(&at.logit_gradient, &|i, by| loss(&moved(&logits, i, by), &offsets, &surface, &rectangles).total);
+    check(&at.offset_gradient, &|i, by| loss(&logits, &moved(&offsets, i, by), &surface, &rectangles).total);
+    check(&at.surface_gradient, &|i, by| loss(&logits, &offsets, &moved(&surface, i, by), &rectangles).total);
+    check(&at.rectangle_gradient, &|i, by| loss(&logits, &offsets, &surface, &moved(&rectangles, i, by)).total);
     assert!(checked > 60, "{checked}");
 }
 
@@ -88,6 +96,7 @@ fn a_perfect_answer_costs_nothing_and_a_wrong_class_does() {
     let mut logits = vec![-20.0; objects * cells];
     let mut offsets = vec![0.0; objects * 2 * CORNERS * cells];
     let mut surface = vec![0.0; objects * 3 * cells];
+    let mut rectangles = vec![0.0; 4 * cells];
     let instance = &truth[0].instances[0];
     let [fx, fy, cx, cy] = truth[0].intrinsics;
     for (i, cell) in grid.cells.iter().enumerate().filter(|(i, _)| truth[0].owner[*i] == 1) {
@@ -95,6 +104,9 @@ fn a_perfect_answer_costs_nothing_and_a_wrong_class_does() {
             logits[cells + i] = 20.0;
         }
         (0..3).for_each(|k| surface[(3 + k) * cells + i] = truth[0].surface[i][k] / SURFACE_UNIT);
+        for (edge, px) in instance.rectangle_px.iter().enumerate() {
+            rectangles[edge * cells + i] = (px - cell.centre_px[edge % 2]) / cell.unit_px;
+        }
         for (corner, p) in instance.corners_m.iter().enumerate() {
             let pixel = [fx * p[0] / p[2] + cx, fy * p[1] / p[2] + cy];
             for k in 0..2 {
@@ -103,7 +115,8 @@ fn a_perfect_answer_costs_nothing_and_a_wrong_class_does() {
         }
     }
     let weights = LossWeights::default();
-    let output = DetectorOutput { logits: &logits, offsets: &offsets, surface: &surface, objects };
+    let output =
+        DetectorOutput { logits: &logits, offsets: &offsets, surface: &surface, rectangles: &rectangles, objects };
     let good = detection_loss(&output, &truth, &grid, &weights);
     assert!(good.total < 1e-4, "{good:?}");
     let (background, object) = logits.split_at(cells);

@@ -9,7 +9,7 @@ use crate::model::Model;
 use crate::weights::Weights;
 
 /// The bytes of an ONNX file with input `image` (1, 3, H, W), f32 in [-1, 1], and outputs `classes` (1, objects, cells),
-/// logits, `corners` (1, 16 objects, cells) and `surface` (1, 3 objects, cells) as [`crate::Detector::forward`] gives them. The same weights give
+/// logits, `corners` (1, 16 objects, cells) and `surface` (1, 3 objects, cells) and `rectangles` (1, 4, cells) as [`crate::Detector::forward`] gives them. The same weights give
 /// the same bytes.
 ///
 /// # Errors
@@ -26,8 +26,14 @@ pub fn export_detector(weights: &Weights, config: &DetectorConfig) -> Result<Vec
         .map(|level| (0..TOWER).fold(level, |x, i| export.conv_relu(&x, &format!("tower.{i}"))))
         .collect();
     let cells = Grid::new(width, height).cells.len();
-    let heads = [("classes", "class", 1), ("corners", "corners", 2 * CORNERS), ("surface", "surface", 3)];
-    for (name, conv, channels) in heads.map(|(name, conv, each)| (name, conv, each * config.objects)) {
+    let n = config.objects;
+    let heads = [
+        ("classes", "class", n),
+        ("corners", "corners", 2 * CORNERS * n),
+        ("surface", "surface", 3 * n),
+        ("rectangles", "rectangle", 4),
+    ];
+    for (name, conv, channels) in heads {
         let parts: Vec<String> = towers.iter().map(|tower| export.head(tower, conv, channels)).collect();
         let parts: Vec<&str> = parts.iter().map(String::as_str).collect();
         let all = export.graph.concat(&parts, 2);

@@ -83,7 +83,7 @@ fn detector_equals_burn() {
     let model = rten::Model::load(export_detector(&weights, &config).unwrap()).unwrap();
     let image = images(1, 96, 5)[0][..3 * 64 * 96].to_vec();
     let input = rten::ValueOrView::from(rten_tensor::Tensor::from_data(&[1, 3, 64, 96], image.clone()));
-    let names = ["classes", "corners", "surface"].map(|name| model.node_id(name).unwrap());
+    let names = ["classes", "corners", "surface", "rectangles"].map(|name| model.node_id(name).unwrap());
     let theirs = model.run(vec![(model.node_id("image").unwrap(), input)], &names, None).unwrap();
     let network = config.build(&weights, &Device::flex()).unwrap();
     let image = burn::tensor::TensorData::new(image, [1, 3, 64, 96]);
