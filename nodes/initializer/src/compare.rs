@@ -8,8 +8,9 @@
 mod views;
 
 use crate::InitializerError;
-use nalgebra::{Point2, Translation3};
+use nalgebra::{Point2, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Crop, Intrinsics, Pose};
+use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
 use pseudoflow_imaging::{Object, ObjectSet, RgbImage, resample};
 use pseudoflow_inference::{Engine, EngineConfig, Input, Output, normalise, open};
 use pseudoflow_network::{NetworkConfig, Weights, export_features};
@@ -18,7 +19,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use views::{View, views};
+use views::{View, rotations, views};
 
 /// How the views of an object are compared with an image.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -32,6 +33,13 @@ pub struct CompareConfig {
     /// Turns about the line of sight for each direction.
     #[serde(default = "default_turns")]
     pub turns: u32,
+    /// Steps, in degrees, by which the best views are turned about each axis to find better ones between them.
+    #[serde(default = "default_steps_deg")]
+    pub steps_deg: Vec<f64>,
+}
+
+fn default_steps_deg() -> Vec<f64> {
+    vec![14.0, 7.0]
 }
 
 fn default_directions() -> u32 {
@@ -46,7 +54,7 @@ impl CompareConfig {
     /// The defaults for a flow network.
     #[must_use]
     pub fn new(model: PathBuf) -> Self {
-        Self { model, directions: default_directions(), turns: default_turns() }
+        Self { model, directions: default_directions(), turns: default_turns(), steps_deg: default_steps_deg() }
     }
 
     /// Checks the ranges.
@@ -58,6 +66,10 @@ impl CompareConfig {
         let rules = [("compare.directions", self.directions), ("compare.turns", self.turns)];
         match rules.into_iter().find(|(_, v)| !count(*v)) {
             Some((field, v)) => Err(InitializerError::Setting { field, got: f64::from(v), wanted: "4 to 1000" }),
+            None if !self.steps_deg.iter().all(|v| *v > 0.0 && *v <= 90.0) => {
+                let got = self.steps_deg.iter().copied().fold(0.0, f64::max);
+                Err(InitializerError::Setting { field: "compare.steps_deg", got, wanted: "numbers over 0, at most 90" })
+            }
             None if !self.model.is_file() => {
                 Err(InitializerError::Model { path: self.model.clone(), cause: "no such file".into() })
             }
@@ -80,7 +92,9 @@ const SHIFT: i32 = 2;
 /// The feature encoder and the views of all objects.
 pub struct Comparer {
     encoder: Encoder,
+    rasteriser: SoftwareRasteriser,
     views: BTreeMap<u32, Vec<View>>,
+    steps_deg: Vec<f64>,
 }
 
 /// How well a pose explains an image.
@@ -138,11 +152,13 @@ impl Comparer {
         let channels = network.feature_channels();
         let engine = open(&onnx, engine)?;
         let mut encoder = Encoder { engine, channels, planes: Vec::new(), features: Vec::new() };
+        let mut rasteriser = SoftwareRasteriser::new();
         let mut all = BTreeMap::new();
         for object in objects.iter() {
-            all.insert(object.id, views(object, config, &mut encoder)?);
+            rasteriser.add_object(object.id, &object.mesh).map_err(|e| InitializerError::Render(e.to_string()))?;
+            all.insert(object.id, views(object, &rotations(object, config), &rasteriser, &mut encoder)?);
         }
-        Ok(Self { encoder, views: all })
+        Ok(Self { encoder, rasteriser, views: all, steps_deg: config.steps_deg.clone() })
     }
 
     /// The views of an object that explain best what is seen in a square of `side_px` around `centre_px`, the best first; at
@@ -166,41 +182,106 @@ impl Comparer {
         let rgb: Vec<u8> = crops.iter().flat_map(|crop| resample(image, crop).into_raw()).collect();
         let features = self.encoder.encode(&rgb)?;
         let per_crop = features.len() / crops.len();
-        let views = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
-        let scored = |(i, view): (usize, &View)| {
-            let tries = features.chunks_exact(per_crop).enumerate().map(|(size, features)| {
-                let (similarity, shift) = view.similarity(features, SHIFT);
-                (similarity, size, shift)
-            });
-            let best = tries.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f32::MIN, 0, [0, 0]));
-            (i, best)
-        };
-        let mut scores: Vec<_> = views.par_iter().enumerate().map(scored).collect();
-        scores.sort_by(|a, b| b.1.0.total_cmp(&a.1.0).then(a.0.cmp(&b.0)));
-        let mut found: Vec<Match> = Vec::new();
-        for (i, (similarity, size, shift)) in scores {
-            let crop = &crops[size];
-            let cell_px = crop.side / CELLS as f64;
-            let middle = [0, 1].map(|k| [crop.x0, crop.y0][k] + crop.side / 2.0 + f64::from(shift[k]) * cell_px);
-            let place = (Point2::from(middle), crop.side / MARGIN);
-            let Some(pose) = placed(object, &views[i], camera, place) else { continue };
-            let turned = |m: &Match| pseudoflow_geometry::rotation_angle_rad(&m.camera_from_object, &pose) > 0.4;
-            if found.iter().all(turned) {
-                found.push(Match { camera_from_object: pose, similarity: f64::from(similarity) });
-            }
-            if found.len() == count {
-                break;
-            }
+        let crops = Crops { crops, features };
+        let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
+        let mut best = apart(crops.score(known), count.max(POLISHED));
+        for step_deg in &self.steps_deg {
+            let around: Vec<UnitQuaternion<f64>> = best.iter().flat_map(|s| turned(&s.rotation, *step_deg)).collect();
+            let between = views(object, &around, &self.rasteriser, &mut self.encoder)?;
+            best.extend(crops.score(&between));
+            best.sort_by(Scored::better_first);
+            best = apart(best, count.max(POLISHED));
         }
-        Ok(found)
+        let found = best.iter().filter_map(|scored| {
+            let pose = placed(object, &scored.rotation, camera, crops.place(scored))?;
+            Some(Match { camera_from_object: pose, similarity: f64::from(scored.similarity) })
+        });
+        Ok(found.take(count).collect())
     }
 }
 
+/// So many different views are turned to find better ones.
+const POLISHED: usize = 3;
+/// Views that are turned less from each other than this count as one, radians.
+const APART_RAD: f64 = 0.45;
+
+/// The image around a detection at several sizes.
+struct Crops {
+    crops: [Crop; SIZES.len()],
+    features: Vec<f32>,
+}
+
+/// A view and where in the crops it fits best.
+#[derive(Debug, Clone, Copy)]
+struct Scored {
+    rotation: UnitQuaternion<f64>,
+    similarity: f32,
+    crop: usize,
+    shift: [i32; 2],
+}
+
+impl Scored {
+    fn better_first(a: &Self, b: &Self) -> std::cmp::Ordering {
+        b.similarity.total_cmp(&a.similarity)
+    }
+}
+
+impl Crops {
+    /// All views, the best first.
+    fn score(&self, views: &[View]) -> Vec<Scored> {
+        let per_crop = self.features.len() / self.crops.len();
+        let score = |view: &View| {
+            let tries = self.features.chunks_exact(per_crop).enumerate().map(|(crop, features)| {
+                let (similarity, shift) = view.similarity(features, SHIFT);
+                Scored { rotation: view.rotation, similarity, crop, shift }
+            });
+            tries.max_by(|a, b| a.similarity.total_cmp(&b.similarity))
+        };
+        // In the order of the views where equal, whatever the threads.
+        let mut scores: Vec<Scored> = views.par_iter().filter_map(score).collect();
+        scores.sort_by(Scored::better_first);
+        scores
+    }
+
+    /// Middle and larger side of the object's projection, pixels of the image.
+    fn place(&self, scored: &Scored) -> (Point2<f64>, f64) {
+        let crop = &self.crops[scored.crop];
+        let cell_px = crop.side / CELLS as f64;
+        let along = |k: usize| [crop.x0, crop.y0][k] + crop.side / 2.0 + f64::from(scored.shift[k]) * cell_px;
+        (Point2::new(along(0), along(1)), crop.side / MARGIN)
+    }
+}
+
+/// The best views that are turned from each other.
+fn apart(sorted: Vec<Scored>, count: usize) -> Vec<Scored> {
+    let mut kept: Vec<Scored> = Vec::new();
+    for scored in sorted {
+        if kept.len() < count && kept.iter().all(|k| k.rotation.angle_to(&scored.rotation) > APART_RAD) {
+            kept.push(scored);
+        }
+    }
+    kept
+}
+
+/// A rotation turned by an angle about each axis of the camera, both ways.
+fn turned(rotation: &UnitQuaternion<f64>, step_deg: f64) -> Vec<UnitQuaternion<f64>> {
+    let axes = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()];
+    let both = |axis: nalgebra::Unit<Vector3<f64>>| {
+        [step_deg, -step_deg].map(|deg| UnitQuaternion::from_axis_angle(&axis, deg.to_radians()) * rotation)
+    };
+    axes.into_iter().flat_map(both).collect()
+}
+
 /// The pose at which an object, turned as in a view, fills a place of the image: middle and larger side of its projection.
-fn placed(object: &Object, view: &View, camera: &Intrinsics, (at, side_px): (Point2<f64>, f64)) -> Option<Pose> {
+fn placed(
+    object: &Object,
+    view: &UnitQuaternion<f64>,
+    camera: &Intrinsics,
+    (at, side_px): (Point2<f64>, f64),
+) -> Option<Pose> {
     let ray = camera.unproject(&at, 1.0).coords;
-    let to_ray = nalgebra::UnitQuaternion::rotation_between(&nalgebra::Vector3::z(), &ray)?;
-    let rotation = to_ray * view.rotation;
+    let to_ray = UnitQuaternion::rotation_between(&Vector3::z(), &ray)?;
+    let rotation = to_ray * view;
     let mut z_m = camera.fx * object.diameter_m / side_px.max(1.0);
     let mut at_px = at;
     for _ in 0..6 {

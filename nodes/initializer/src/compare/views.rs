@@ -5,7 +5,7 @@ use crate::InitializerError;
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::Object;
-use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View as Rendered};
+use pseudoflow_imaging::raster::{Rasteriser, View as Rendered};
 
 /// An object seen from one side.
 pub(super) struct View {
@@ -56,16 +56,14 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     sums.iter().sum()
 }
 
-/// Renders and encodes all views of an object.
+/// Renders and encodes an object, turned in these ways.
 pub(super) fn views(
     object: &Object,
-    config: &CompareConfig,
+    rotations: &[UnitQuaternion<f64>],
+    rasteriser: &dyn Rasteriser,
     encoder: &mut Encoder,
 ) -> Result<Vec<View>, InitializerError> {
-    let rotations = rotations(object, config);
-    let mut rasteriser = SoftwareRasteriser::new();
     let failed = |e: pseudoflow_imaging::raster::RasterError| InitializerError::Render(e.to_string());
-    rasteriser.add_object(object.id, &object.mesh).map_err(failed)?;
     let mut views = Vec::with_capacity(rotations.len());
     for batch in rotations.chunks(BATCH) {
         let asked: Vec<Rendered> = batch.iter().map(|rotation| seen(object, rotation)).collect();
@@ -109,7 +107,7 @@ fn covered(mask: &[u8]) -> Vec<[i32; 2]> {
 }
 
 /// Directions on a Fibonacci spiral, each with all turns; of those that look the same, one.
-fn rotations(object: &Object, config: &CompareConfig) -> Vec<UnitQuaternion<f64>> {
+pub(super) fn rotations(object: &Object, config: &CompareConfig) -> Vec<UnitQuaternion<f64>> {
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let n = f64::from(config.directions);
     let mut rotations = Vec::new();
@@ -144,7 +142,7 @@ mod tests {
     fn views_cover_all_rotations_and_symmetric_objects_need_half_of_them() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/objects/tabletop");
         let objects = ObjectSet::load(&folder).unwrap();
-        let config = CompareConfig { model: "".into(), directions: 64, turns: 12 };
+        let config = CompareConfig::new("".into());
         let all = rotations(objects.get(1).unwrap(), &config);
         assert_eq!(all.len(), 64 * 12);
         let mut worst: f64 = 0.0;
