@@ -86,6 +86,8 @@ pub(crate) const CELLS: usize = SIZE_PX as usize / 8;
 pub(crate) const MARGIN: f64 = 1.25;
 /// Sizes of the object that are tried, relative to the one that was detected.
 const SIZES: [f64; 3] = [0.84, 1.0, 1.19];
+/// And around a view that was found.
+const FINE_SIZES: [f64; 3] = [0.92, 1.0, 1.087];
 /// Largest shift that is tried, cells.
 const SHIFT: i32 = 2;
 
@@ -161,6 +163,21 @@ impl Comparer {
         Ok(Self { encoder, rasteriser, views: all, steps_deg: config.steps_deg.clone() })
     }
 
+    /// Crops around a place (middle and larger side of a projection, pixels of the image), for objects of these sizes.
+    fn look(
+        &mut self,
+        image: &RgbImage,
+        (at, side_px): (Point2<f64>, f64),
+        sizes: [f64; 3],
+    ) -> Result<Crops, InitializerError> {
+        let crops = sizes.map(|size| {
+            let side = MARGIN * size * side_px;
+            Crop { x0: at.x - side / 2.0, y0: at.y - side / 2.0, side, size_px: SIZE_PX }
+        });
+        let rgb: Vec<u8> = crops.iter().flat_map(|crop| resample(image, crop).into_raw()).collect();
+        Ok(Crops { crops, features: self.encoder.encode(&rgb)? })
+    }
+
     /// The views of an object that explain best what is seen in a square of `side_px` around `centre_px`, the best first; at
     /// most `count`, each turned from the others.
     ///
@@ -174,23 +191,16 @@ impl Comparer {
         (centre_px, side_px): (Point2<f64>, f64),
         count: usize,
     ) -> Result<Vec<Match>, InitializerError> {
-        let crop = |size: f64| {
-            let side = MARGIN * size * side_px;
-            Crop { x0: centre_px.x - side / 2.0, y0: centre_px.y - side / 2.0, side, size_px: SIZE_PX }
-        };
-        let crops = SIZES.map(crop);
-        let rgb: Vec<u8> = crops.iter().flat_map(|crop| resample(image, crop).into_raw()).collect();
-        let features = self.encoder.encode(&rgb)?;
-        let per_crop = features.len() / crops.len();
-        let crops = Crops { crops, features };
+        let mut crops = self.look(image, (centre_px, side_px), SIZES)?;
         let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
         let mut best = apart(crops.score(known), count.max(POLISHED));
-        for step_deg in &self.steps_deg {
-            let around: Vec<UnitQuaternion<f64>> = best.iter().flat_map(|s| turned(&s.rotation, *step_deg)).collect();
-            let between = views(object, &around, &self.rasteriser, &mut self.encoder)?;
-            best.extend(crops.score(&between));
-            best.sort_by(Scored::better_first);
-            best = apart(best, count.max(POLISHED));
+        for step_deg in self.steps_deg.clone() {
+            let Some(first) = best.first() else { break };
+            // Closer, where the best view has found the object.
+            crops = self.look(image, crops.place(first), FINE_SIZES)?;
+            let around = best.iter().flat_map(|s| turned(&s.rotation, step_deg));
+            let around: Vec<UnitQuaternion<f64>> = best.iter().map(|s| s.rotation).chain(around).collect();
+            best = apart(crops.score(&views(object, &around, &self.rasteriser, &mut self.encoder)?), count.max(POLISHED));
         }
         let found = best.iter().filter_map(|scored| {
             let pose = placed(object, &scored.rotation, camera, crops.place(scored))?;
