@@ -200,7 +200,8 @@ impl Comparer {
             crops = self.look(image, crops.place(first), FINE_SIZES)?;
             let around = best.iter().flat_map(|s| turned(&s.rotation, step_deg));
             let around: Vec<UnitQuaternion<f64>> = best.iter().map(|s| s.rotation).chain(around).collect();
-            best = apart(crops.score(&views(object, &around, &self.rasteriser, &mut self.encoder)?), count.max(POLISHED));
+            best =
+                apart(crops.score(&views(object, &around, &self.rasteriser, &mut self.encoder)?), count.max(POLISHED));
         }
         let found = best.iter().filter_map(|scored| {
             let pose = placed(object, &scored.rotation, camera, crops.place(scored))?;
