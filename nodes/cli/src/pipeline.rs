@@ -48,6 +48,7 @@ pub(crate) struct Refined {
 /// One instance: its refined pose, what the pictures say about it, and the crop that it was refined in.
 #[derive(Debug, Clone)]
 pub(crate) struct Judged {
+    pub(crate) initial: ObjectPose,
     pub(crate) pose: ObjectPose,
     pub(crate) agreement: f64,
     pub(crate) photometric: f64,
@@ -103,7 +104,7 @@ impl Pipeline {
             let (photometric, silhouette) =
                 judgement.evidence.map_or((0.0, 0.0), |e| (e.photometric_refined, e.silhouette_refined));
             let agreement = judgement.agreement();
-            Judged { pose: judgement.pose, agreement, photometric, silhouette, crop: view.crop }
+            Judged { initial: view.pose, pose: judgement.pose, agreement, photometric, silhouette, crop: view.crop }
         });
         Ok(judged.collect())
     }

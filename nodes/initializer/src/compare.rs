@@ -36,6 +36,14 @@ pub struct CompareConfig {
     /// Steps, in degrees, by which the best views are turned about each axis to find better ones between them.
     #[serde(default = "default_steps_deg")]
     pub steps_deg: Vec<f64>,
+    /// Poses of an instance that are sent, the most similar first: the refiner tries them all, and pnp keeps the one that flow
+    /// and picture agree with best.
+    #[serde(default = "default_hypotheses")]
+    pub hypotheses: u32,
+}
+
+fn default_hypotheses() -> u32 {
+    4
 }
 
 fn default_steps_deg() -> Vec<f64> {
@@ -54,7 +62,8 @@ impl CompareConfig {
     /// The defaults for a flow network.
     #[must_use]
     pub fn new(model: PathBuf) -> Self {
-        Self { model, directions: default_directions(), turns: default_turns(), steps_deg: default_steps_deg() }
+        let (directions, turns, steps_deg) = (default_directions(), default_turns(), default_steps_deg());
+        Self { model, directions, turns, steps_deg, hypotheses: default_hypotheses() }
     }
 
     /// Checks the ranges.
@@ -66,6 +75,10 @@ impl CompareConfig {
         let rules = [("compare.directions", self.directions), ("compare.turns", self.turns)];
         match rules.into_iter().find(|(_, v)| !count(*v)) {
             Some((field, v)) => Err(InitializerError::Setting { field, got: f64::from(v), wanted: "4 to 1000" }),
+            None if !(1..=20).contains(&self.hypotheses) => {
+                let got = f64::from(self.hypotheses);
+                Err(InitializerError::Setting { field: "compare.hypotheses", got, wanted: "1 to 20" })
+            }
             None if !self.steps_deg.iter().all(|v| *v > 0.0 && *v <= 90.0) => {
                 let got = self.steps_deg.iter().copied().fold(0.0, f64::max);
                 Err(InitializerError::Setting { field: "compare.steps_deg", got, wanted: "numbers over 0, at most 90" })
@@ -97,6 +110,7 @@ pub struct Comparer {
     rasteriser: SoftwareRasteriser,
     views: BTreeMap<u32, Vec<View>>,
     steps_deg: Vec<f64>,
+    hypotheses: usize,
 }
 
 /// How well a pose explains an image.
@@ -160,7 +174,7 @@ impl Comparer {
             rasteriser.add_object(object.id, &object.mesh).map_err(|e| InitializerError::Render(e.to_string()))?;
             all.insert(object.id, views(object, &rotations(object, config), &rasteriser, &mut encoder)?);
         }
-        Ok(Self { encoder, rasteriser, views: all, steps_deg: config.steps_deg.clone() })
+        Ok(Self { encoder, rasteriser, views: all, steps_deg: config.steps_deg.clone(), hypotheses: config.hypotheses as usize })
     }
 
     /// Crops around a place (middle and larger side of a projection, pixels of the image), for objects of these sizes.
@@ -179,7 +193,7 @@ impl Comparer {
     }
 
     /// The views of an object that explain best what is seen in a square of `side_px` around `centre_px`, the best first; at
-    /// most `count`, each turned from the others.
+    /// most [`CompareConfig::hypotheses`], each turned from the others.
     ///
     /// # Errors
     /// What the engine says.
@@ -189,25 +203,24 @@ impl Comparer {
         camera: &Intrinsics,
         object: &Object,
         (centre_px, side_px): (Point2<f64>, f64),
-        count: usize,
     ) -> Result<Vec<Match>, InitializerError> {
         let mut crops = self.look(image, (centre_px, side_px), SIZES)?;
         let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
-        let mut best = apart(crops.score(known), count.max(POLISHED));
+        let count = self.hypotheses.max(POLISHED);
+        let mut best = apart(crops.score(known), count);
         for step_deg in self.steps_deg.clone() {
             let Some(first) = best.first() else { break };
             // Closer, where the best view has found the object.
             crops = self.look(image, crops.place(first), FINE_SIZES)?;
             let around = best.iter().flat_map(|s| turned(&s.rotation, step_deg));
             let around: Vec<UnitQuaternion<f64>> = best.iter().map(|s| s.rotation).chain(around).collect();
-            best =
-                apart(crops.score(&views(object, &around, &self.rasteriser, &mut self.encoder)?), count.max(POLISHED));
+            best = apart(crops.score(&views(object, &around, &self.rasteriser, &mut self.encoder)?), count);
         }
         let found = best.iter().filter_map(|scored| {
             let pose = placed(object, &scored.rotation, camera, crops.place(scored))?;
             Some(Match { camera_from_object: pose, similarity: f64::from(scored.similarity) })
         });
-        Ok(found.take(count).collect())
+        Ok(found.take(self.hypotheses).collect())
     }
 }
 

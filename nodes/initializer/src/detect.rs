@@ -59,8 +59,17 @@ impl DetectConfig {
     }
 }
 
-/// An object that was found.
+/// Another pose that would explain what was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hypothesis {
+    /// The pose, metres.
+    pub camera_from_object: Pose,
+    /// How sure, 0..1; at most that of the detection.
+    pub score: f64,
+}
+
+/// An object that was found.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Detection {
     /// The object.
     pub object_id: u32,
@@ -74,6 +83,8 @@ pub struct Detection {
     pub side_px: f64,
     /// As in `PnpResult::covariance`.
     pub covariance: [f64; 36],
+    /// Other poses of this instance: pnp keeps the one that flow and picture agree with best.
+    pub others: Vec<Hypothesis>,
 }
 
 /// Most samples of RANSAC.
@@ -122,6 +133,7 @@ pub fn solve(
         centre_px,
         side_px: seen_px,
         covariance: found.covariance,
+        others: Vec::new(),
     }))
 }
 

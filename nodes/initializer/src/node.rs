@@ -1,6 +1,6 @@
 use crate::InitializerError;
 use crate::compare::{CompareConfig, Comparer};
-use crate::detect::{DetectConfig, Detection, detect, suppress};
+use crate::detect::{DetectConfig, Detection, Hypothesis, detect, solve, suppress};
 use crate::network::DetectorNetwork;
 use crate::track::{Predicted, TrackConfig, Tracker};
 use crate::votes::{group, place, sureness, votes};
@@ -165,22 +165,33 @@ impl InitializerNode {
                 let (at, side_px) = place(votes);
                 let at = Point2::new(f64::from(at[0]), f64::from(at[1]));
                 let there = (fit.image_from_input(&at), f64::from(side_px) * camera.fx / seen_by.fx);
-                let best = comparer.best(image, camera, object, there, 1)?;
-                found.extend(best.first().map(|m| Detection {
-                    object_id: object.id,
+                let views = comparer.best(image, camera, object, there)?.into_iter().map(|m| Hypothesis {
                     camera_from_object: m.camera_from_object,
                     score: score * m.similarity.clamp(0.0, 1.0),
+                });
+                let mut poses: Vec<Hypothesis> = views.collect();
+                let Some(first) = poses.first().copied() else { continue };
+                // What the votes themselves say may be righter than any view, but is less often so.
+                poses.extend(solve(votes, object, &seen_by, config, rng)?.map(|d| Hypothesis {
+                    camera_from_object: d.camera_from_object,
+                    score: d.score.min(first.score),
+                }));
+                found.push(Detection {
+                    object_id: object.id,
+                    camera_from_object: first.camera_from_object,
+                    score: first.score,
                     centre_px: at,
                     side_px: f64::from(side_px),
                     covariance: [0.0; 36],
-                }));
+                    others: poses.split_off(1),
+                });
             }
         }
         Ok(suppress(found, config.max_instances))
     }
 }
 
-/// Predictions as poses.
+/// Predictions as poses; the others of an instance follow it, under the same number.
 fn predictions(predicted: &[Predicted]) -> Vec<ObjectPose> {
     let pose = |p: &Predicted| ObjectPose {
         object_id: p.object_id,
@@ -192,13 +203,13 @@ fn predictions(predicted: &[Predicted]) -> Vec<ObjectPose> {
         translation_m: p.camera_from_object.translation.vector.into(),
         covariance: [0.0; 36],
     };
-    predicted.iter().map(pose).collect()
+    predicted.iter().flat_map(|p| with_others(pose(p), &p.others)).collect()
 }
 
-/// Detections as poses, numbered by object.
+/// Detections as poses, numbered by object; the others of an instance follow it, under the same number.
 fn poses(found: &[Detection]) -> Vec<ObjectPose> {
     let instance = |i: usize| found[..i].iter().filter(|d| d.object_id == found[i].object_id).count() as u32;
-    let pose = |(i, d): (usize, &Detection)| ObjectPose {
+    let pose = |i: usize, d: &Detection| ObjectPose {
         object_id: d.object_id,
         instance: instance(i),
         status: PoseStatus::Ok as u32,
@@ -208,9 +219,20 @@ fn poses(found: &[Detection]) -> Vec<ObjectPose> {
         translation_m: d.camera_from_object.translation.vector.into(),
         covariance: d.covariance,
     };
-    let mut poses: Vec<ObjectPose> = found.iter().enumerate().map(pose).collect();
+    let of = |(i, d): (usize, &Detection)| with_others(pose(i, d), &d.others);
+    let mut poses: Vec<ObjectPose> = found.iter().enumerate().flat_map(of).collect();
     poses.sort_by_key(|pose| (pose.object_id, pose.instance));
     poses
+}
+
+fn with_others(first: ObjectPose, others: &[Hypothesis]) -> Vec<ObjectPose> {
+    let other = |h: &Hypothesis| ObjectPose {
+        score: h.score,
+        rotation_xyzw: quaternion_xyzw(&h.camera_from_object),
+        translation_m: h.camera_from_object.translation.vector.into(),
+        ..first
+    };
+    std::iter::once(first).chain(others.iter().map(other)).collect()
 }
 
 impl Node for InitializerNode {

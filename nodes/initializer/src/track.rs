@@ -10,7 +10,7 @@ mod tests;
 
 pub use config::TrackConfig;
 
-use crate::detect::Detection;
+use crate::detect::{Detection, Hypothesis};
 use nalgebra::Vector6;
 use pseudoflow_geometry::{Pose, exp_se3, log_se3, pose_from_quaternion, rotation_angle_rad};
 use pseudoflow_imaging::ObjectSet;
@@ -28,6 +28,8 @@ struct Track {
     /// Whether `pose` is a detection that no refinement has looked at.
     fresh: bool,
     pose: Pose,
+    /// Of a fresh track: other poses that it may have.
+    others: Vec<Hypothesis>,
     /// When it was there, nanoseconds.
     stamp_ns: i64,
     /// Motion in the object's frame, metres and radians per second.
@@ -38,7 +40,7 @@ struct Track {
 }
 
 /// A pose to begin a frame from.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Predicted {
     /// The object.
     pub object_id: u32,
@@ -50,6 +52,8 @@ pub struct Predicted {
     pub score: f64,
     /// Whether it comes from earlier frames; else from a detection in this one.
     pub tracked: bool,
+    /// Other poses that it may have instead: none for what is tracked.
+    pub others: Vec<Hypothesis>,
 }
 
 /// All tracks.
@@ -82,6 +86,7 @@ impl Track {
         self.velocity =
             if known { log_se3(&(self.pose.inverse() * pose)) * (keep / seconds) } else { Vector6::zeros() };
         (self.pose, self.stamp_ns, self.fresh) = (pose, stamp_ns, false);
+        self.others.clear();
     }
 
     fn stop(&mut self, phase: TrackPhase, reason: TrackReason) {
@@ -156,6 +161,7 @@ impl Tracker {
                     active: true,
                     fresh: true,
                     pose: detection.camera_from_object,
+                    others: detection.others.clone(),
                     stamp_ns,
                     velocity: Vector6::zeros(),
                     good: 0,
@@ -168,6 +174,7 @@ impl Tracker {
         (track.reason, track.active, track.fresh) = (TrackReason::Detected, true, true);
         (track.pose, track.stamp_ns, track.score) = (detection.camera_from_object, stamp_ns, detection.score);
         (track.good, track.bad, track.velocity) = (0, 0, Vector6::zeros());
+        track.others.clone_from(&detection.others);
     }
 
     /// Where everything should be at `stamp_ns`. Counts a frame.
@@ -179,6 +186,7 @@ impl Tracker {
             camera_from_object: t.predict(stamp_ns),
             score: t.score,
             tracked: !t.fresh,
+            others: t.others.clone(),
         };
         let mut all: Vec<Predicted> = self.tracks.iter().filter(|t| t.active).map(predicted).collect();
         all.sort_by_key(|p| (p.object_id, p.instance));

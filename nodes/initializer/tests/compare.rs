@@ -55,11 +55,11 @@ fn the_most_similar_view_is_near_the_true_pose() {
         // As a detector gives it: off by some pixels, and too large or too small.
         let (at, side_px) = place(object, &truth);
         let rough = (at + nalgebra::Vector2::new(6.0, -5.0), side_px * (0.92 + 0.02 * i));
-        let best = comparer.best(&image, &K, object, rough, 1).unwrap()[0];
+        let best = comparer.best(&image, &K, object, rough).unwrap()[0];
         let away_m = (best.camera_from_object.translation.vector - truth.translation.vector).norm();
         assert!(away_m < 0.15, "{away_m} m");
         turns_deg.push(rotation_angle_rad(&best.camera_from_object, &truth).to_degrees());
-        assert_eq!(comparer.best(&image, &K, object, rough, 1).unwrap()[0], best, "the same twice");
+        assert_eq!(comparer.best(&image, &K, object, rough).unwrap()[0], best, "the same twice");
     }
     turns_deg.sort_by(f64::total_cmp);
     // The views are 20 to 30 degrees apart, the last step between them is 7.

@@ -55,17 +55,23 @@ impl PnpNode {
         Ok(&mut self.solver.as_mut().ok_or("no solver")?.1)
     }
 
-    fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<ObjectPose, NodeError> {
+    /// The refined pose, and how well flow and picture agree with it.
+    fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<(ObjectPose, f64), NodeError> {
         let found = self.solve(planes, seed)?;
-        let status = match found.status {
+        let (status, seen) = match found.status {
             PnpStatus::Ok => self.looked_at(planes, &found)?,
-            failed => (message_status(failed), false),
+            failed => ((message_status(failed), false), f64::NEG_INFINITY),
         };
-        Ok(refined_pose(&planes.view.pose, &found, status))
+        Ok((refined_pose(&planes.view.pose, &found, status), seen))
     }
 
-    /// Whether the object is seen at all, and whether the solution replaces the initial pose.
-    fn looked_at(&mut self, planes: &ViewPlanes<'_>, found: &PnpResult) -> Result<(PoseStatus, bool), NodeError> {
+    /// Whether the object is seen at all, whether the solution replaces the initial pose, and how well flow and picture agree
+    /// with what is kept.
+    fn looked_at(
+        &mut self,
+        planes: &ViewPlanes<'_>,
+        found: &PnpResult,
+    ) -> Result<((PoseStatus, bool), f64), NodeError> {
         let config = self.config.gate.clone().unwrap_or_default();
         let evidence = evidence(planes, found, config.blocks_across, &mut self.gate)?;
         let decision = config.decide(found, &evidence, planes.field.size_px);
@@ -83,7 +89,7 @@ impl PnpNode {
             (true, true) if !tracked => PoseStatus::Rejected,
             (true, _) => PoseStatus::Ok,
         };
-        Ok((status, !refused))
+        Ok(((status, !refused), seen))
     }
 
     fn solve(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<PnpResult, NodeError> {
@@ -191,6 +197,16 @@ fn refined_pose(initial: &ObjectPose, found: &PnpResult, (status, replaces): (Po
     }
 }
 
+/// Of several poses of one instance (an initializer may send them) the one that flow and picture agree with best, the first of
+/// equals; ordered by object and instance.
+fn best_of_each(mut refined: Vec<(ObjectPose, f64)>) -> Vec<ObjectPose> {
+    let agreement = |seen: f64| if seen.is_nan() { f64::NEG_INFINITY } else { seen };
+    let instance = |pose: &ObjectPose| (pose.object_id, pose.instance);
+    refined.sort_by(|a, b| instance(&a.0).cmp(&instance(&b.0)).then(agreement(b.1).total_cmp(&agreement(a.1))));
+    refined.dedup_by_key(|(pose, _)| instance(pose));
+    refined.into_iter().map(|(pose, _)| pose).collect()
+}
+
 /// View 0 of each instance: the one at the initial pose.
 fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize) -> Result<ViewPlanes<'a>, NodeError> {
     let at = instance * views.header.views_per_instance as usize;
@@ -249,11 +265,12 @@ impl Node for PnpNode {
             );
         }
         let mut rng = context.rng(inputs.key().index, "ransac");
-        let mut poses = views.skipped.to_vec();
+        let mut refined: Vec<(ObjectPose, f64)> =
+            views.skipped.iter().map(|pose| (*pose, f64::NEG_INFINITY)).collect();
         for instance in 0..views.header.instances as usize {
-            poses.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
+            refined.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
         }
-        poses.sort_by_key(|pose| (pose.object_id, pose.instance));
+        let poses = best_of_each(refined);
         let (scene_id, image_id) = (views.header.scene_id, views.header.image_id);
         outputs.send("poses", inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, &poses);

@@ -121,7 +121,7 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     let sets = match (&args.weights, initializer(args)) {
         (Some(weights), _) => refine_dataset(args, weights, &dataset)?,
         (None, Some(initializer)) => {
-            let estimates = find_all(args, initializer, &dataset)?;
+            let estimates = first_of_each(&find_all(args, initializer, &dataset)?);
             let part = args.csv().with_extension("csv.part");
             let mut writer = ResultsWriter::create(&part)?;
             let image = |e: &Estimate| (e.scene_id, e.image_id);
@@ -168,8 +168,8 @@ fn check_name(args: &Args) -> Result<()> {
 fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
     let initial = match &args.init {
         Some(path) if initializer(args).is_some() => find_all(args, path, dataset)?,
-        Some(path) => read_results(path, Some(&dataset.known))?,
-        None => dataset.initial_estimates(),
+        Some(path) => numbered(read_results(path, Some(&dataset.known))?),
+        None => numbered(dataset.initial_estimates()),
     };
     let mut pipeline = Pipeline::open(pipeline_config(args, weights, dataset)?)?;
     let part = args.csv().with_extension("csv.part");
@@ -181,7 +181,7 @@ fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<
     for image in &dataset.images {
         let is_here = |e: &&Estimate| (e.scene_id, e.image_id) == (image.scene_id, image.frame.image_id);
         if !refined.iter().any(|e| is_here(&e)) {
-            let here: Vec<&Estimate> = initial.iter().filter(is_here).collect();
+            let here: Vec<&Initial> = initial.iter().filter(|i| is_here(&&i.estimate)).collect();
             let estimates = refine_image(&mut pipeline, image, &here)?;
             writer.write_image(&estimates)?;
             refined.extend(estimates);
@@ -191,7 +191,7 @@ fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<
     bar.finish_and_clear();
     std::fs::rename(&part, args.csv()).with_context(|| format!("{}: cannot be written", args.csv().display()))?;
     Ok(vec![
-        NamedEstimates { name: "init".into(), estimates: initial },
+        NamedEstimates { name: "init".into(), estimates: first_of_each(&initial) },
         NamedEstimates { name: "refined".into(), estimates: refined },
     ])
 }
@@ -233,8 +233,26 @@ fn initializer(args: &Args) -> Option<&Path> {
     args.init.as_deref().filter(|path| path.extension().is_some_and(|extension| extension == "safetensors"))
 }
 
+/// A pose to refine.
+struct Initial {
+    estimate: Estimate,
+    /// Poses with one number are hypotheses of one instance.
+    instance: u32,
+}
+
+/// Each pose an instance of its own.
+fn numbered(estimates: Vec<Estimate>) -> Vec<Initial> {
+    estimates.into_iter().zip(0..).map(|(estimate, instance)| Initial { estimate, instance }).collect()
+}
+
+/// The surest pose of each instance, which comes first.
+fn first_of_each(initial: &[Initial]) -> Vec<Estimate> {
+    let of = |i: &Initial| (i.estimate.scene_id, i.estimate.image_id, i.estimate.object_id, i.instance);
+    initial.chunk_by(|a, b| of(a) == of(b)).map(|same| same[0].estimate.clone()).collect()
+}
+
 /// What the initializer finds in every image.
-fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Estimate>> {
+fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Initial>> {
     let objects = args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone());
     let config = InitializerConfig {
         network: args.init_network.clone(),
@@ -251,7 +269,8 @@ fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Es
         let poses = finder.find(&frame(image, &rgb))?;
         let image_time_s = Some(start.elapsed().as_secs_f64());
         for pose in &poses {
-            found.push(Estimate { image_time_s, ..estimate(image, pose)? });
+            let estimate = Estimate { image_time_s, ..estimate(image, pose)? };
+            found.push(Initial { estimate, instance: pose.instance });
         }
         bar.inc(1);
     }
@@ -284,9 +303,9 @@ fn estimate(image: &EvalImage, pose: &ObjectPose) -> Result<Estimate> {
     })
 }
 
-fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Estimate]) -> Result<Vec<Estimate>> {
+fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Initial]) -> Result<Vec<Estimate>> {
     let rgb = image.frame.load_image()?;
-    let poses: Vec<ObjectPose> = initial.iter().enumerate().map(|(i, e)| given(e, i as u32)).collect();
+    let poses: Vec<ObjectPose> = initial.iter().map(|i| given(&i.estimate, i.instance)).collect();
     let refined = pipeline.refine(&frame(image, &rgb), &poses)?;
     let image_time_s = Some(refined.stages.iter().sum::<std::time::Duration>().as_secs_f64());
     let last = refined.passes.last().context("`--passes 0`: give at least 1")?;

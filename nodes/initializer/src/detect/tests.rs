@@ -94,6 +94,7 @@ fn one_of_two_names_for_one_thing_is_kept_but_not_of_two_things() {
         centre_px: Point2::new(x, 100.0),
         side_px,
         covariance: [0.0; 36],
+        others: Vec::new(),
     };
     let same = suppress(vec![at(1, 0.5, 100.0, 60.0), at(2, 0.8, 105.0, 50.0)], 3);
     assert_eq!(same.iter().map(|d| d.object_id).collect::<Vec<_>>(), [2]);

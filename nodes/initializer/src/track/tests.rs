@@ -27,6 +27,7 @@ fn detection(pose: Pose) -> Detection {
         centre_px: Point2::origin(),
         side_px: 50.0,
         covariance: [0.0; 36],
+        others: Vec::new(),
     }
 }
 

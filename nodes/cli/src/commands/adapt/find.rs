@@ -3,14 +3,14 @@
 
 use super::Args;
 use super::judge::{boxed, context, pipeline, player_with};
-use crate::pipeline::{Finder, Frame};
+use crate::pipeline::{Finder, Frame, Judged};
 use anyhow::{Result, bail, ensure};
 use pseudoflow_geometry::{pose_from_quaternion, rotation_angle_rad};
 use pseudoflow_initializer::InitializerConfig;
 use pseudoflow_metrics::{Estimate, ResultsWriter};
 use pseudoflow_msgs::{AlignedBytes, CameraFrame, ObjectPose, ObjectPoses};
 use pseudoflow_runtime::{InMemory, Node, Produced, read};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The file in the training's folder.
@@ -58,17 +58,11 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
         let poses: Vec<ObjectPose> = poses.into_iter().filter(|pose| wanted(args, pose)).collect();
         put(&mut messages, (header.scene_id, header.image_id), &poses);
         let judged = refiner.judge(&messages)?;
-        let believed = poses.iter().filter(|pose| {
-            let same =
-                |j: &&crate::pipeline::Judged| (j.pose.object_id, j.pose.instance) == (pose.object_id, pose.instance);
-            judged
-                .iter()
-                .find(same)
-                .is_some_and(|j| j.agreement >= LEAST_AGREEMENT && turn_deg(pose, &j.pose) < LARGEST_TURN_DEG)
-        });
-        let estimates: Vec<Estimate> =
-            believed.map(|pose| estimate((header.scene_id, header.image_id), pose)).collect::<Result<_>>()?;
-        (found, kept) = (found + poses.len(), kept + estimates.len());
+        let estimates: Vec<Estimate> = believed(&judged)
+            .into_iter()
+            .map(|pose| estimate((header.scene_id, header.image_id), pose))
+            .collect::<Result<_>>()?;
+        (found, kept) = (found + instances(&poses), kept + estimates.len());
         writer.write_image(&estimates)?;
         bar.inc(1);
     }
@@ -77,6 +71,23 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
     ensure!(kept > 0, "nothing to adapt to: the initializer finds no object that flow and picture confirm");
     std::fs::rename(&part, &file)?;
     Ok(file)
+}
+
+fn instances(poses: &[ObjectPose]) -> usize {
+    poses.iter().map(|pose| (pose.object_id, pose.instance)).collect::<BTreeSet<_>>().len()
+}
+
+/// Of each instance the pose whose refinement flow and picture agree with best, if they agree at all.
+fn believed(judged: &[Judged]) -> Vec<&ObjectPose> {
+    let mut best: BTreeMap<(u32, u32), &Judged> = BTreeMap::new();
+    for judged in judged {
+        let kept = best.entry((judged.pose.object_id, judged.pose.instance)).or_insert(judged);
+        if judged.agreement > kept.agreement {
+            *kept = judged;
+        }
+    }
+    let plausible = |j: &&Judged| j.agreement >= LEAST_AGREEMENT && turn_deg(&j.initial, &j.pose) < LARGEST_TURN_DEG;
+    best.into_values().filter(plausible).map(|judged| &judged.initial).collect()
 }
 
 fn wanted(args: &Args, pose: &ObjectPose) -> bool {

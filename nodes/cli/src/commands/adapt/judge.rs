@@ -230,6 +230,7 @@ mod tests {
 
     fn case(before: f64, after: f64) -> Case {
         let judged = |agreement| Judged {
+            initial: bytemuck::Zeroable::zeroed(),
             pose: bytemuck::Zeroable::zeroed(),
             agreement: 0.0,
             photometric: agreement,
