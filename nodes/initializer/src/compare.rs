@@ -19,7 +19,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use views::{View, rotations, views};
+use views::{View, rotations, summit, views};
 
 /// How the views of an object are compared with an image.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -101,8 +101,6 @@ pub(crate) const MARGIN: f64 = 1.25;
 const SIZES: [f64; 3] = [0.84, 1.0, 1.19];
 /// And around a view that was found.
 const FINE_SIZES: [f64; 3] = [0.92, 1.0, 1.087];
-/// Largest shift that is tried, cells.
-const SHIFT: i32 = 2;
 
 /// The feature encoder and the views of all objects.
 pub struct Comparer {
@@ -240,8 +238,10 @@ struct Crops {
 struct Scored {
     rotation: UnitQuaternion<f64>,
     similarity: f32,
+    /// The crop, and how much larger the object is than it would be there.
     crop: usize,
-    shift: [i32; 2],
+    size: f64,
+    shift: [f64; 2],
 }
 
 impl Scored {
@@ -254,15 +254,17 @@ impl Crops {
     /// All views, the best first.
     fn score(&self, views: &[View]) -> Vec<Scored> {
         let per_crop = self.features.len() / self.crops.len();
+        let step = self.crops[2].side / self.crops[1].side;
         let score = |view: &View| {
-            let tries = self.features.chunks_exact(per_crop).enumerate().map(|(crop, features)| {
-                let (similarity, shift) = view.similarity(features, SHIFT);
-                Scored { rotation: view.rotation, similarity, crop, shift }
-            });
-            tries.max_by(|a, b| a.similarity.total_cmp(&b.similarity))
+            let mut tries = self.features.chunks_exact(per_crop).map(|features| view.similarity(features));
+            let tries: [(f32, [f64; 2]); SIZES.len()] = std::array::from_fn(|_| tries.next().unwrap_or_default());
+            let crop = (0..SIZES.len()).max_by(|a, b| tries[*a].0.total_cmp(&tries[*b].0)).unwrap_or(0);
+            // Between the sizes, where the one in the middle is the best.
+            let away = if crop == 1 { summit(tries.map(|t| t.0)) } else { 0.0 };
+            Scored { rotation: view.rotation, similarity: tries[crop].0, crop, size: step.powf(away), shift: tries[crop].1 }
         };
         // In the order of the views where equal, whatever the threads.
-        let mut scores: Vec<Scored> = views.par_iter().filter_map(score).collect();
+        let mut scores: Vec<Scored> = views.par_iter().map(score).collect();
         scores.sort_by(Scored::better_first);
         scores
     }
@@ -271,8 +273,8 @@ impl Crops {
     fn place(&self, scored: &Scored) -> (Point2<f64>, f64) {
         let crop = &self.crops[scored.crop];
         let cell_px = crop.side / CELLS as f64;
-        let along = |k: usize| [crop.x0, crop.y0][k] + crop.side / 2.0 + f64::from(scored.shift[k]) * cell_px;
-        (Point2::new(along(0), along(1)), crop.side / MARGIN)
+        let along = |k: usize| [crop.x0, crop.y0][k] + crop.side / 2.0 + scored.shift[k] * cell_px;
+        (Point2::new(along(0), along(1)), scored.size * crop.side / MARGIN)
     }
 }
 
