@@ -97,8 +97,9 @@ pub(crate) const SIZE_PX: u32 = 96;
 pub(crate) const CELLS: usize = SIZE_PX as usize / 8;
 /// Side of a crop over the larger side of the object's projection.
 pub(crate) const MARGIN: f64 = 1.25;
-/// Sizes of the object that are tried, relative to the one that was detected.
-const SIZES: [f64; 3] = [0.84, 1.0, 1.19];
+/// Sizes of the object that are tried, relative to the one that was detected: a network that has not seen very many images
+/// takes large objects for smaller than they are.
+const SIZES: [f64; 4] = [0.9, 1.07, 1.27, 1.51];
 /// And around a view that was found.
 const FINE_SIZES: [f64; 3] = [0.92, 1.0, 1.087];
 
@@ -172,7 +173,13 @@ impl Comparer {
             rasteriser.add_object(object.id, &object.mesh).map_err(|e| InitializerError::Render(e.to_string()))?;
             all.insert(object.id, views(object, &rotations(object, config), &rasteriser, &mut encoder)?);
         }
-        Ok(Self { encoder, rasteriser, views: all, steps_deg: config.steps_deg.clone(), hypotheses: config.hypotheses as usize })
+        Ok(Self {
+            encoder,
+            rasteriser,
+            views: all,
+            steps_deg: config.steps_deg.clone(),
+            hypotheses: config.hypotheses as usize,
+        })
     }
 
     /// Crops around a place (middle and larger side of a projection, pixels of the image), for objects of these sizes.
@@ -180,12 +187,13 @@ impl Comparer {
         &mut self,
         image: &RgbImage,
         (at, side_px): (Point2<f64>, f64),
-        sizes: [f64; 3],
+        sizes: &[f64],
     ) -> Result<Crops, InitializerError> {
-        let crops = sizes.map(|size| {
+        let crop = |size: &f64| {
             let side = MARGIN * size * side_px;
             Crop { x0: at.x - side / 2.0, y0: at.y - side / 2.0, side, size_px: SIZE_PX }
-        });
+        };
+        let crops: Vec<Crop> = sizes.iter().map(crop).collect();
         let rgb: Vec<u8> = crops.iter().flat_map(|crop| resample(image, crop).into_raw()).collect();
         Ok(Crops { crops, features: self.encoder.encode(&rgb)? })
     }
@@ -202,14 +210,14 @@ impl Comparer {
         object: &Object,
         (centre_px, side_px): (Point2<f64>, f64),
     ) -> Result<Vec<Match>, InitializerError> {
-        let mut crops = self.look(image, (centre_px, side_px), SIZES)?;
+        let mut crops = self.look(image, (centre_px, side_px), &SIZES)?;
         let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
         let count = self.hypotheses.max(POLISHED);
         let mut best = apart(crops.score(known), count);
         for step_deg in self.steps_deg.clone() {
             let Some(first) = best.first() else { break };
             // Closer, where the best view has found the object.
-            crops = self.look(image, crops.place(first), FINE_SIZES)?;
+            crops = self.look(image, crops.place(first), &FINE_SIZES)?;
             let around = best.iter().flat_map(|s| turned(&s.rotation, step_deg));
             let around: Vec<UnitQuaternion<f64>> = best.iter().map(|s| s.rotation).chain(around).collect();
             best = apart(crops.score(&views(object, &around, &self.rasteriser, &mut self.encoder)?), count);
@@ -229,7 +237,7 @@ const APART_RAD: f64 = 0.45;
 
 /// The image around a detection at several sizes.
 struct Crops {
-    crops: [Crop; SIZES.len()],
+    crops: Vec<Crop>,
     features: Vec<f32>,
 }
 
@@ -256,12 +264,19 @@ impl Crops {
         let per_crop = self.features.len() / self.crops.len();
         let step = self.crops[2].side / self.crops[1].side;
         let score = |view: &View| {
-            let mut tries = self.features.chunks_exact(per_crop).map(|features| view.similarity(features));
-            let tries: [(f32, [f64; 2]); SIZES.len()] = std::array::from_fn(|_| tries.next().unwrap_or_default());
-            let crop = (0..SIZES.len()).max_by(|a, b| tries[*a].0.total_cmp(&tries[*b].0)).unwrap_or(0);
-            // Between the sizes, where the one in the middle is the best.
-            let away = if crop == 1 { summit(tries.map(|t| t.0)) } else { 0.0 };
-            Scored { rotation: view.rotation, similarity: tries[crop].0, crop, size: step.powf(away), shift: tries[crop].1 }
+            let tries: Vec<(f32, [f64; 2])> =
+                self.features.chunks_exact(per_crop).map(|f| view.similarity(f)).collect();
+            let crop = (0..tries.len()).max_by(|a, b| tries[*a].0.total_cmp(&tries[*b].0)).unwrap_or(0);
+            // Between the sizes, where it is not the least or the largest.
+            let inside = (1..tries.len() - 1).contains(&crop);
+            let away = if inside { summit([crop - 1, crop, crop + 1].map(|i| tries[i].0)) } else { 0.0 };
+            Scored {
+                rotation: view.rotation,
+                similarity: tries[crop].0,
+                crop,
+                size: step.powf(away),
+                shift: tries[crop].1,
+            }
         };
         // In the order of the views where equal, whatever the threads.
         let mut scores: Vec<Scored> = views.par_iter().map(score).collect();

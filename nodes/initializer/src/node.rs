@@ -172,10 +172,12 @@ impl InitializerNode {
                 let mut poses: Vec<Hypothesis> = views.collect();
                 let Some(first) = poses.first().copied() else { continue };
                 // What the votes themselves say may be righter than any view, but is less often so.
-                poses.extend(solve(votes, object, &seen_by, config, rng)?.map(|d| Hypothesis {
-                    camera_from_object: d.camera_from_object,
-                    score: d.score.min(first.score),
-                }));
+                poses.extend(
+                    solve(votes, object, &seen_by, config, rng)?.map(|d| Hypothesis {
+                        camera_from_object: d.camera_from_object,
+                        score: d.score.min(first.score),
+                    }),
+                );
                 found.push(Detection {
                     object_id: object.id,
                     camera_from_object: first.camera_from_object,

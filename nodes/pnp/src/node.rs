@@ -265,8 +265,7 @@ impl Node for PnpNode {
             );
         }
         let mut rng = context.rng(inputs.key().index, "ransac");
-        let mut refined: Vec<(ObjectPose, f64)> =
-            views.skipped.iter().map(|pose| (*pose, f64::NEG_INFINITY)).collect();
+        let mut refined: Vec<(ObjectPose, f64)> = views.skipped.iter().map(|pose| (*pose, f64::NEG_INFINITY)).collect();
         for instance in 0..views.header.instances as usize {
             refined.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
         }
