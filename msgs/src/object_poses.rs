@@ -67,7 +67,8 @@ impl PoseStatus {
 pub struct ObjectPose {
     /// Id of the object in its set (BOP `obj_id`).
     pub object_id: u32,
-    /// Tells instances of one object apart.
+    /// Tells instances of one object apart. Initial poses of one object with the same number are hypotheses of one instance,
+    /// the likeliest first; pnp keeps one of them.
     pub instance: u32,
     /// A [`PoseStatus`].
     pub status: u32,
@@ -88,6 +89,18 @@ impl ObjectPose {
     #[must_use]
     pub fn status(&self) -> Option<PoseStatus> {
         PoseStatus::from_u32(self.status)
+    }
+
+    /// Object and instance.
+    #[must_use]
+    pub fn identity(&self) -> (u32, u32) {
+        (self.object_id, self.instance)
+    }
+
+    /// The likeliest pose of each instance.
+    pub fn likeliest(poses: &[Self]) -> impl Iterator<Item = &Self> {
+        let first = |(i, pose): &(usize, &Self)| poses[..*i].iter().all(|p| p.identity() != pose.identity());
+        poses.iter().enumerate().filter(first).map(|(_, pose)| pose)
     }
 }
 
@@ -158,6 +171,17 @@ impl Message for ObjectPoses<'static> {
 mod tests {
     use super::*;
     use crate::AlignedBytes;
+
+    #[test]
+    fn the_likeliest_pose_of_each_instance_comes_first() {
+        let pose = |object_id, instance, score| {
+            let zeroed: ObjectPose = bytemuck::Zeroable::zeroed();
+            ObjectPose { object_id, instance, score, ..zeroed }
+        };
+        let poses = [pose(1, 0, 0.9), pose(1, 0, 0.8), pose(1, 1, 0.7), pose(2, 0, 0.6), pose(1, 0, 0.5)];
+        let scores: Vec<f64> = ObjectPose::likeliest(&poses).map(|p| p.score).collect();
+        assert_eq!(scores, [0.9, 0.7, 0.6]);
+    }
 
     #[test]
     fn poses_round_trip_and_a_bad_status_is_named() {

@@ -32,14 +32,14 @@ fn demo_bag() -> std::path::PathBuf {
 }
 
 fn check_with(setting: &str) -> String {
-    refused(&["check", "config/graphs/demo.yaml", "--set", setting])
+    refused(&["check", "config/graphs/refine.yaml", "--set", setting])
 }
 
 fn play(bag: &Path) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("run");
     let source = format!("player.source={}", bag.display());
-    let mut args = vec!["run", "config/graphs/demo.yaml", "--set", &source, "--out", out.to_str().expect("utf-8")];
+    let mut args = vec!["run", "config/graphs/refine.yaml", "--set", &source, "--out", out.to_str().expect("utf-8")];
     let settings = common::into(folder.path());
     args.extend(settings.iter().map(String::as_str));
     refused(&args)
@@ -123,7 +123,7 @@ fn a_mesh_in_the_wrong_unit() {
     let out = tempfile::tempdir().expect("a folder");
     let run_dir = out.path().join("run");
     let objects = format!("renderer.objects={}", folder.path().display());
-    let mut args = vec!["run", "config/graphs/demo.yaml", "--set", &objects, "--out", run_dir.to_str().expect("utf-8")];
+    let mut args = vec!["run", "config/graphs/refine.yaml", "--set", &objects, "--out", run_dir.to_str().expect("utf-8")];
     let settings = common::into(out.path());
     args.extend(settings.iter().map(String::as_str));
     assert_says(&refused(&args), &["models_info.json", "diameter"]);

@@ -11,7 +11,7 @@ const NODES: [&str; 7] = ["player", "renderer", "flow", "pnp", "bridge", "record
 
 fn start(out: &Path) -> Child {
     pseudoflow()
-        .args(["run", "config/graphs/demo.yaml", "--out"])
+        .args(["run", "config/graphs/refine.yaml", "--out"])
         .arg(out.join("run"))
         .args(into(out))
         .stderr(Stdio::null())

@@ -34,6 +34,7 @@ fn start(out: &Path, [network, weights]: &[PathBuf; 2]) -> Child {
         format!("initializer.model={}", weights.display()),
         format!("initializer.network={}", network.display()),
         "initializer.detect={min_vote: 0.02, min_score: 0, min_votes: 1, threshold_sides: 0.3}".into(),
+        "initializer.compare=null".into(),
         "renderer.size_px=64".into(),
         "flow.size_px=64".into(),
         "flow.iterations=4".into(),

@@ -108,7 +108,8 @@ impl Node for EvaluatorNode {
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         let header = read::<CameraFrame<'static>>(inputs, "frame")?.header;
         let poses = |port| -> Result<Vec<PoseLine>, NodeError> {
-            Ok(read::<ObjectPoses<'static>>(inputs, port)?.poses.iter().map(PoseLine::from).collect())
+            let poses = read::<ObjectPoses<'static>>(inputs, port)?.poses;
+            Ok(ObjectPose::likeliest(poses).map(PoseLine::from).collect())
         };
         let [fx, fy, cx, cy] = header.intrinsics;
         let line = FrameLine {

@@ -168,11 +168,14 @@ impl Comparer {
         let engine = open(&onnx, engine)?;
         let mut encoder = Encoder { engine, channels, planes: Vec::new(), features: Vec::new() };
         let mut rasteriser = SoftwareRasteriser::new();
+        let start = std::time::Instant::now();
         let mut all = BTreeMap::new();
         for object in objects.iter() {
             rasteriser.add_object(object.id, &object.mesh).map_err(|e| InitializerError::Render(e.to_string()))?;
             all.insert(object.id, views(object, &rotations(object, config), &rasteriser, &mut encoder)?);
         }
+        let count: usize = all.values().map(Vec::len).sum();
+        log::info!("{count} views of {} objects in {:.1} s", all.len(), start.elapsed().as_secs_f64());
         Ok(Self {
             encoder,
             rasteriser,

@@ -223,7 +223,7 @@ fn poses(found: &[Detection]) -> Vec<ObjectPose> {
     };
     let of = |(i, d): (usize, &Detection)| with_others(pose(i, d), &d.others);
     let mut poses: Vec<ObjectPose> = found.iter().enumerate().flat_map(of).collect();
-    poses.sort_by_key(|pose| (pose.object_id, pose.instance));
+    poses.sort_by_key(ObjectPose::identity);
     poses
 }
 

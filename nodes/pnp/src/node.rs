@@ -201,9 +201,8 @@ fn refined_pose(initial: &ObjectPose, found: &PnpResult, (status, replaces): (Po
 /// equals; ordered by object and instance.
 fn best_of_each(mut refined: Vec<(ObjectPose, f64)>) -> Vec<ObjectPose> {
     let agreement = |seen: f64| if seen.is_nan() { f64::NEG_INFINITY } else { seen };
-    let instance = |pose: &ObjectPose| (pose.object_id, pose.instance);
-    refined.sort_by(|a, b| instance(&a.0).cmp(&instance(&b.0)).then(agreement(b.1).total_cmp(&agreement(a.1))));
-    refined.dedup_by_key(|(pose, _)| instance(pose));
+    refined.sort_by(|a, b| a.0.identity().cmp(&b.0.identity()).then(agreement(b.1).total_cmp(&agreement(a.1))));
+    refined.dedup_by_key(|(pose, _)| pose.identity());
     refined.into_iter().map(|(pose, _)| pose).collect()
 }
 
@@ -274,5 +273,28 @@ impl Node for PnpNode {
         outputs.send("poses", inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, &poses);
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_several_poses_of_an_instance_the_one_that_is_seen_best_stays() {
+        let pose = |object_id, instance, score, seen| {
+            let zeroed: ObjectPose = bytemuck::Zeroable::zeroed();
+            (ObjectPose { object_id, instance, score, ..zeroed }, seen)
+        };
+        let refined = vec![
+            pose(2, 0, 0.1, f64::NEG_INFINITY),
+            pose(1, 1, 0.2, 0.7),
+            pose(1, 0, 0.3, f64::NAN),
+            pose(1, 1, 0.4, 1.9),
+            pose(1, 0, 0.5, -0.2),
+            pose(1, 1, 0.6, 1.9),
+        ];
+        let kept: Vec<_> = best_of_each(refined).iter().map(|p| (p.object_id, p.instance, p.score)).collect();
+        assert_eq!(kept, [(1, 0, 0.5), (1, 1, 0.4), (2, 0, 0.1)]);
     }
 }

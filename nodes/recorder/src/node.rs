@@ -55,7 +55,8 @@ pub struct RecorderNode {
 impl RecorderNode {
     fn record(&mut self, inputs: &dyn Inputs, sequence: u32) -> Result<(), NodeError> {
         let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
-        let initial = optional::<ObjectPoses<'static>>(inputs, "initial_poses")?.map(|message| message.poses);
+        let initial = optional::<ObjectPoses<'static>>(inputs, "initial_poses")?;
+        let initial: Option<Vec<ObjectPose>> = initial.map(|m| ObjectPose::likeliest(m.poses).copied().collect());
         let poses = optional::<ObjectPoses<'static>>(inputs, "poses")?.map(|message| message.poses);
         let statuses = optional::<ObjectStatuses<'static>>(inputs, "status")?.map(|message| message.statuses);
         let shown = optional::<Pictures<'static>>(inputs, "pictures")?;
@@ -65,7 +66,7 @@ impl RecorderNode {
         let header = Header { stamp, frame_id: frame.header.frame_id().to_owned() };
         let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb.to_vec());
         let image = image.ok_or("the frame has too few pixels")?;
-        let overlay = self.overlay(image.clone(), &frame, initial.unwrap_or_default(), poses.unwrap_or_default())?;
+        let overlay = self.overlay(image.clone(), &frame, initial.as_deref().unwrap_or_default(), poses.unwrap_or_default())?;
         let jpeg_quality = self.config.jpeg_quality;
         let pictures = self.config.overlay.as_ref().and_then(|overlay| overlay.pictures.clone());
         let extras = Extras {
@@ -81,7 +82,7 @@ impl RecorderNode {
             writer.image(jpeg(&image, jpeg_quality)?, frame.header)?;
         }
         if let Some(initial) = initial {
-            writer.initial_poses(initial)?;
+            writer.initial_poses(&initial)?;
         }
         if let Some(poses) = poses {
             writer.poses(poses)?;

@@ -77,7 +77,7 @@ pub fn plan(
     for (place, pose) in initial.iter().enumerate() {
         let object = objects.get(pose.object_id)?;
         let jitter = Jitter::views(object.diameter_m);
-        let better = around.iter().find(|p| (p.object_id, p.instance) == (pose.object_id, pose.instance));
+        let better = around.iter().find(|p| p.identity() == pose.identity());
         let better = better.and_then(|p| pose_from_quaternion(&p.rotation_xyzw, &p.translation_m).ok());
         match crop_around(pose, objects, intrinsics, (width, height), settings)? {
             None => plan.skipped.push(ObjectPose { status: PoseStatus::NotVisible as u32, ..*pose }),

@@ -170,3 +170,16 @@ fn two_instances_keep_their_numbers_and_one_place_has_one_track() {
     let dropped = tracker.statuses().into_iter().find(|s| s.object_id == MUSTARD && s.instance != kept[0].instance);
     assert_eq!(dropped.unwrap().reason, TrackReason::Duplicate as u32);
 }
+
+#[test]
+fn a_new_track_carries_its_other_poses_until_one_of_them_was_chosen() {
+    let mut tracker = tracker(1);
+    let others = vec![Hypothesis { camera_from_object: at(0.0, 2.0), score: 0.5 }];
+    tracker.found(&[Detection { others: others.clone(), ..detection(at(0.0, 0.5)) }], 0);
+    let predicted = tracker.predict(0).remove(0);
+    assert_eq!((predicted.tracked, &predicted.others), (false, &others));
+    tracker.learn(&[refined(&predicted, at(0.0, 2.0), PoseStatus::Ok)], 0);
+    let next = tracker.predict(STEP_NS).remove(0);
+    assert_eq!((next.tracked, next.others), (true, vec![]));
+    assert!(rotation_angle_rad(&next.camera_from_object, &at(0.0, 2.0)) < 1e-9, "it goes on from the chosen one");
+}

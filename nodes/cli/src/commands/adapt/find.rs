@@ -6,7 +6,7 @@ use super::judge::{boxed, context, pipeline, player_with};
 use crate::pipeline::{Finder, Frame, Judged};
 use anyhow::{Result, bail, ensure};
 use pseudoflow_geometry::{pose_from_quaternion, rotation_angle_rad};
-use pseudoflow_initializer::InitializerConfig;
+use pseudoflow_initializer::{CompareConfig, InitializerConfig};
 use pseudoflow_metrics::{Estimate, ResultsWriter};
 use pseudoflow_msgs::{AlignedBytes, CameraFrame, ObjectPose, ObjectPoses};
 use pseudoflow_runtime::{InMemory, Node, Produced, read};
@@ -35,7 +35,9 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
     }
     ensure!(weights.is_file(), "`--init {}`: no such file", weights.display());
     let mut player = player_with(args, (None, None))?;
-    let config = InitializerConfig::new(weights.to_owned(), args.objects.clone());
+    // The features of the flow network that is to be adapted tell the sides of the objects apart.
+    let compare = (args.network == "nano").then(|| CompareConfig::new(args.weights.clone()));
+    let config = InitializerConfig { compare, ..InitializerConfig::new(weights.to_owned(), args.objects.clone()) };
     let (mut finder, mut refiner) = (Finder::open(config, args.seed)?, pipeline(args, &args.weights)?);
     let part = file.with_extension("csv.part");
     let mut writer = ResultsWriter::create(&part)?;
@@ -62,7 +64,7 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
             .into_iter()
             .map(|pose| estimate((header.scene_id, header.image_id), pose))
             .collect::<Result<_>>()?;
-        (found, kept) = (found + instances(&poses), kept + estimates.len());
+        (found, kept) = (found + ObjectPose::likeliest(&poses).count(), kept + estimates.len());
         writer.write_image(&estimates)?;
         bar.inc(1);
     }
@@ -73,15 +75,11 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
     Ok(file)
 }
 
-fn instances(poses: &[ObjectPose]) -> usize {
-    poses.iter().map(|pose| (pose.object_id, pose.instance)).collect::<BTreeSet<_>>().len()
-}
-
 /// Of each instance the pose whose refinement flow and picture agree with best, if they agree at all.
 fn believed(judged: &[Judged]) -> Vec<&ObjectPose> {
     let mut best: BTreeMap<(u32, u32), &Judged> = BTreeMap::new();
     for judged in judged {
-        let kept = best.entry((judged.pose.object_id, judged.pose.instance)).or_insert(judged);
+        let kept = best.entry(judged.pose.identity()).or_insert(judged);
         if judged.agreement > kept.agreement {
             *kept = judged;
         }
