@@ -123,7 +123,8 @@ fn a_mesh_in_the_wrong_unit() {
     let out = tempfile::tempdir().expect("a folder");
     let run_dir = out.path().join("run");
     let objects = format!("renderer.objects={}", folder.path().display());
-    let mut args = vec!["run", "config/graphs/refine.yaml", "--set", &objects, "--out", run_dir.to_str().expect("utf-8")];
+    let mut args =
+        vec!["run", "config/graphs/refine.yaml", "--set", &objects, "--out", run_dir.to_str().expect("utf-8")];
     let settings = common::into(out.path());
     args.extend(settings.iter().map(String::as_str));
     assert_says(&refused(&args), &["models_info.json", "diameter"]);

@@ -8,7 +8,8 @@
 mod views;
 
 use crate::InitializerError;
-use nalgebra::{Point2, Translation3, UnitQuaternion, Vector3};
+use crate::detect::Rectangle;
+use nalgebra::{Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use pseudoflow_geometry::{Crop, Intrinsics, Pose};
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
 use pseudoflow_imaging::{Object, ObjectSet, RgbImage, resample};
@@ -102,6 +103,12 @@ pub(crate) const MARGIN: f64 = 1.25;
 const SIZES: [f64; 4] = [0.9, 1.07, 1.27, 1.51];
 /// And around a view that was found.
 const FINE_SIZES: [f64; 3] = [0.92, 1.0, 1.087];
+/// Objects are larger than the network says, in the middle.
+const LARGER: f64 = 1.08;
+/// Weight of the squared logarithms of the ratios of width and height.
+const UNLIKE: f64 = 0.5;
+/// Their largest sum that counts.
+const MOST_UNLIKE: f64 = 0.5;
 
 /// The feature encoder and the views of all objects.
 pub struct Comparer {
@@ -201,8 +208,8 @@ impl Comparer {
         Ok(Crops { crops, features: self.encoder.encode(&rgb)? })
     }
 
-    /// The views of an object that explain best what is seen in a square of `side_px` around `centre_px`, the best first; at
-    /// most [`CompareConfig::hypotheses`], each turned from the others.
+    /// The views of an object that explain best what is seen where it was detected, the best first; at most
+    /// [`CompareConfig::hypotheses`], each turned from the others.
     ///
     /// # Errors
     /// What the engine says.
@@ -211,19 +218,19 @@ impl Comparer {
         image: &RgbImage,
         camera: &Intrinsics,
         object: &Object,
-        (centre_px, side_px): (Point2<f64>, f64),
+        detected: &Rectangle,
     ) -> Result<Vec<Match>, InitializerError> {
-        let mut crops = self.look(image, (centre_px, side_px), &SIZES)?;
+        let mut crops = self.look(image, (detected.middle_px, detected.side_px()), &SIZES)?;
         let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
         let count = self.hypotheses.max(POLISHED);
-        let mut best = apart(crops.score(known), count);
+        let mut best = apart(crops.score(known, detected), count);
         for step_deg in self.steps_deg.clone() {
             let Some(first) = best.first() else { break };
             // Closer, where the best view has found the object.
             crops = self.look(image, crops.place(first), &FINE_SIZES)?;
             let around = best.iter().flat_map(|s| turned(&s.rotation, step_deg));
             let around: Vec<UnitQuaternion<f64>> = best.iter().map(|s| s.rotation).chain(around).collect();
-            best = apart(crops.score(&views(object, &around, &self.rasteriser, &mut self.encoder)?), count);
+            best = apart(crops.score(&views(object, &around, &self.rasteriser, &mut self.encoder)?, detected), count);
         }
         let found = best.iter().filter_map(|scored| {
             let pose = placed(object, &scored.rotation, camera, crops.place(scored))?;
@@ -263,12 +270,16 @@ impl Scored {
 
 impl Crops {
     /// All views, the best first.
-    fn score(&self, views: &[View]) -> Vec<Scored> {
+    fn score(&self, views: &[View], detected: &Rectangle) -> Vec<Scored> {
         let per_crop = self.features.len() / self.crops.len();
         let step = self.crops[2].side / self.crops[1].side;
         let score = |view: &View| {
+            let of_crop = |(features, crop): (&[f32], &Crop)| {
+                let (similarity, shift) = view.similarity(features);
+                (similarity - unlike(view.shape * (crop.side / MARGIN), detected), shift)
+            };
             let tries: Vec<(f32, [f64; 2])> =
-                self.features.chunks_exact(per_crop).map(|f| view.similarity(f)).collect();
+                self.features.chunks_exact(per_crop).zip(&self.crops).map(of_crop).collect();
             let crop = (0..tries.len()).max_by(|a, b| tries[*a].0.total_cmp(&tries[*b].0)).unwrap_or(0);
             // Between the sizes, where it is not the least or the largest.
             let inside = (1..tries.len() - 1).contains(&crop);
@@ -294,6 +305,13 @@ impl Crops {
         let along = |k: usize| [crop.x0, crop.y0][k] + crop.side / 2.0 + scored.shift[k] * cell_px;
         (Point2::new(along(0), along(1)), scored.size * crop.side / MARGIN)
     }
+}
+
+/// What a projection of another width or height than was detected costs, in units of the similarity. The features alone do
+/// not tell the size of an object without texture: a smaller one fits anywhere inside.
+fn unlike(size_px: Vector2<f64>, detected: &Rectangle) -> f32 {
+    let off = size_px.component_div(&detected.size_px).map(|ratio| (ratio / LARGER).ln());
+    (UNLIKE * off.norm_squared().min(MOST_UNLIKE)) as f32
 }
 
 /// The best views that are turned from each other.
@@ -332,12 +350,13 @@ fn placed(
         let centre = rotation * object.box_centre_m();
         let middle = camera.unproject(&at_px, z_m);
         let pose = Pose::from_parts(Translation3::from(middle.coords - centre.coords), rotation);
-        let (seen, seen_px) = crate::detect::extent(object, &pose, camera)?;
-        if (seen - at).norm() < 0.1 && (seen_px / side_px - 1.0).abs() < 0.002 {
+        let seen = crate::detect::extent(object, &pose, camera)?;
+        let larger = seen.side_px() / side_px;
+        if (seen.middle_px - at).norm() < 0.1 && (larger - 1.0).abs() < 0.002 {
             return Some(pose);
         }
-        at_px += at - seen;
-        z_m *= seen_px / side_px;
+        at_px += at - seen.middle_px;
+        z_m *= larger;
     }
     let centre = rotation * object.box_centre_m();
     Some(Pose::from_parts(Translation3::from(camera.unproject(&at_px, z_m).coords - centre.coords), rotation))

@@ -2,7 +2,7 @@
 
 use crate::InitializerError;
 use crate::votes::{Vote, sureness};
-use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::{Object, ObjectSet};
 use pseudoflow_network::CORNERS;
@@ -59,6 +59,23 @@ impl DetectConfig {
     }
 }
 
+/// Where an object is seen, hidden parts and those outside of the image included.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rectangle {
+    /// Its middle, pixels.
+    pub middle_px: Point2<f64>,
+    /// Width and height, pixels.
+    pub size_px: Vector2<f64>,
+}
+
+impl Rectangle {
+    /// The larger side, pixels.
+    #[must_use]
+    pub fn side_px(&self) -> f64 {
+        self.size_px.max()
+    }
+}
+
 /// Another pose that would explain what was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hypothesis {
@@ -101,10 +118,10 @@ pub fn solve(
     config: &DetectConfig,
     rng: &mut impl Rng,
 ) -> Result<Option<Detection>, InitializerError> {
-    let (at, side_px) = votes[0].extent();
+    let seen = votes[0].rectangle();
     let (points, pixels) = pool(votes, object);
     let settings = PnpConfig {
-        threshold_px: (config.threshold_sides * f64::from(side_px)).max(1.0),
+        threshold_px: (config.threshold_sides * seen.side_px()).max(1.0),
         max_iterations: ITERATIONS,
         minimal: MinimalSolver::P3p,
         min_inliers: CORNERS,
@@ -113,25 +130,26 @@ pub fn solve(
         points_per_independent_error: (votes.len() as f64 / 4.0).max(1.0),
         ..PnpConfig::default()
     };
-    let z_m = intrinsics.fx * object.diameter_m / f64::from(side_px.max(1.0));
-    let guess = intrinsics.unproject(&Point2::new(f64::from(at[0]), f64::from(at[1])), z_m);
+    let z_m = intrinsics.fx * object.diameter_m / seen.side_px();
+    let guess = intrinsics.unproject(&seen.middle_px, z_m);
     let guess = Pose::from_parts(Translation3::from(guess.coords), UnitQuaternion::identity());
     let found =
         Solver::new(settings)?.solve(&Correspondences::new(&points, &pixels)?, intrinsics, &guess, rng.random());
     if !found.status.is_ok() {
         return Ok(None);
     }
-    let Some((centre_px, seen_px)) = extent(object, &found.camera_from_object, intrinsics) else { return Ok(None) };
+    let Some(explained) = extent(object, &found.camera_from_object, intrinsics) else { return Ok(None) };
     // A pose that explains the corners by a mirrored or far-off box.
-    if seen_px > 2.0 * f64::from(side_px) || seen_px < 0.5 * f64::from(side_px) {
+    let larger = explained.side_px() / seen.side_px();
+    if !(0.5..=2.0).contains(&larger) {
         return Ok(None);
     }
     Ok(Some(Detection {
         object_id: object.id,
         camera_from_object: found.camera_from_object,
         score: sureness(votes) * found.inlier_ratio,
-        centre_px,
-        side_px: seen_px,
+        centre_px: explained.middle_px,
+        side_px: explained.side_px(),
         covariance: found.covariance,
         others: Vec::new(),
     }))
@@ -151,13 +169,16 @@ fn pool(votes: &[Vote], object: &Object) -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
     votes.iter().map(on_surface).chain(boxes).unzip()
 }
 
-/// Middle and larger side of an object's projection; `None` when a part of it is behind the camera.
-pub(crate) fn extent(object: &Object, pose: &Pose, intrinsics: &Intrinsics) -> Option<(Point2<f64>, f64)> {
+/// The rectangle around an object's projection; `None` when a part of it is behind the camera.
+pub(crate) fn extent(object: &Object, pose: &Pose, intrinsics: &Intrinsics) -> Option<Rectangle> {
     let seen: Vec<Point2<f64>> =
         object.hull_m.iter().map(|p| intrinsics.project(&(pose * p))).collect::<Option<Vec<_>>>()?;
     let range = |k: usize| seen.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[k]), h.max(p[k])));
     let (x, y) = (range(0), range(1));
-    Some((Point2::new((x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0), (x.1 - x.0).max(y.1 - y.0)))
+    Some(Rectangle {
+        middle_px: Point2::new((x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0),
+        size_px: Vector2::new(x.1 - x.0, y.1 - y.0),
+    })
 }
 
 /// The objects in an image: a pose for each group of votes, the surest instance of what lies at the same place.

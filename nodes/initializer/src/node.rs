@@ -1,10 +1,9 @@
 use crate::InitializerError;
 use crate::compare::{CompareConfig, Comparer};
-use crate::detect::{DetectConfig, Detection, Hypothesis, detect, solve, suppress};
+use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle, detect, solve, suppress};
 use crate::network::DetectorNetwork;
 use crate::track::{Predicted, TrackConfig, Tracker};
 use crate::votes::{group, place, sureness, votes};
-use nalgebra::Point2;
 use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_inference::EngineConfig;
@@ -162,10 +161,12 @@ impl InitializerNode {
         for votes in groups.iter().filter(|votes| votes.len() >= config.min_votes) {
             let (score, object) = (sureness(votes), self.objects.get(ids[votes[0].class])?);
             if score >= config.min_score {
-                let (at, side_px) = place(votes);
-                let at = Point2::new(f64::from(at[0]), f64::from(at[1]));
-                let there = (fit.image_from_input(&at), f64::from(side_px) * camera.fx / seen_by.fx);
-                let views = comparer.best(image, camera, object, there)?.into_iter().map(|m| Hypothesis {
+                let seen = place(votes);
+                let there = Rectangle {
+                    middle_px: fit.image_from_input(&seen.middle_px),
+                    size_px: seen.size_px * (camera.fx / seen_by.fx),
+                };
+                let views = comparer.best(image, camera, object, &there)?.into_iter().map(|m| Hypothesis {
                     camera_from_object: m.camera_from_object,
                     score: score * m.similarity.clamp(0.0, 1.0),
                 });
@@ -182,8 +183,8 @@ impl InitializerNode {
                     object_id: object.id,
                     camera_from_object: first.camera_from_object,
                     score: first.score,
-                    centre_px: at,
-                    side_px: f64::from(side_px),
+                    centre_px: seen.middle_px,
+                    side_px: seen.side_px(),
                     covariance: [0.0; 36],
                     others: poses.split_off(1),
                 });

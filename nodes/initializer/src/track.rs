@@ -67,6 +67,8 @@ pub struct Tracker {
     frames_since_search: Option<u32>,
 }
 
+/// A detection nearer than this to a track is that object, diameters.
+const NEAR_DIAMETERS: f64 = 0.75;
 /// Longest gap that a velocity is measured over or used for, seconds.
 const MAX_GAP_S: f64 = 0.5;
 
@@ -87,6 +89,19 @@ impl Track {
             if known { log_se3(&(self.pose.inverse() * pose)) * (keep / seconds) } else { Vector6::zeros() };
         (self.pose, self.stamp_ns, self.fresh) = (pose, stamp_ns, false);
         self.others.clear();
+    }
+
+    /// Whether the last frame did not confirm it.
+    fn doubtful(&self) -> bool {
+        self.phase == TrackPhase::Tracking && self.bad > 0
+    }
+
+    /// It may be where it is expected, or where it was detected: the refiner tries both.
+    fn doubt(&mut self, detection: &Detection, stamp_ns: i64) {
+        let expected = Hypothesis { camera_from_object: self.predict(stamp_ns), score: detection.score };
+        self.others = std::iter::once(expected).chain(detection.others.iter().copied()).collect();
+        (self.pose, self.stamp_ns, self.fresh) = (detection.camera_from_object, stamp_ns, true);
+        self.velocity = Vector6::zeros();
     }
 
     fn stop(&mut self, phase: TrackPhase, reason: TrackReason) {
@@ -118,16 +133,18 @@ impl Tracker {
         self.drop_duplicates();
     }
 
-    /// Whether to search the next image: nothing is tracked, or something is missing and the last search is long ago.
+    /// Whether to search the next image: nothing is tracked, or something is missing or doubtful and the last search is long
+    /// ago.
     #[must_use]
     pub fn wants_search(&self) -> bool {
-        let active = |id: u32| self.tracks.iter().filter(|t| t.active && t.object_id == id).count();
-        let missing = self.objects.iter().any(|(id, _)| active(*id) < self.max_instances);
+        let sound = |id: u32| self.tracks.iter().filter(|t| t.active && !t.doubtful() && t.object_id == id).count();
+        let missing = self.objects.iter().any(|(id, _)| sound(*id) < self.max_instances);
         let none = self.tracks.iter().all(|t| !t.active);
         none || missing && self.frames_since_search.is_none_or(|frames| frames >= self.config.search_every)
     }
 
-    /// Takes what a search of the image at `stamp_ns` found: what is not tracked there already gets a track.
+    /// Takes what a search of the image at `stamp_ns` found: what is not tracked there already gets a track, and a doubtful
+    /// track another chance.
     pub fn found(&mut self, detections: &[Detection], stamp_ns: i64) {
         self.frames_since_search = Some(0);
         for detection in detections {
@@ -136,9 +153,15 @@ impl Tracker {
                 (t.predict(stamp_ns).translation.vector - detection.camera_from_object.translation.vector).norm()
             };
             let of_object = |t: &&Track| t.active && t.object_id == detection.object_id;
-            let known = self.tracks.iter().filter(of_object).any(|t| away(t) < 0.75 * diameter_m);
-            if !known && self.tracks.iter().filter(of_object).count() < self.max_instances {
-                self.begin(detection, stamp_ns);
+            let here = |t: &Track| away(t) < NEAR_DIAMETERS * diameter_m;
+            let known = self.tracks.iter().filter(of_object).any(|t| here(t) && !t.doubtful());
+            let full = self.tracks.iter().filter(of_object).count() >= self.max_instances;
+            let doubtful = |t: &&mut Track| of_object(&&**t) && t.doubtful() && !t.fresh && (full || here(t));
+            match self.tracks.iter_mut().find(doubtful) {
+                _ if known => {}
+                Some(track) => track.doubt(detection, stamp_ns),
+                None if full => {}
+                None => self.begin(detection, stamp_ns),
             }
         }
     }
@@ -271,7 +294,7 @@ fn judge(
 fn good(track: &mut Track, there: Pose, score: f64, stamp_ns: i64, config: &TrackConfig) {
     track.move_to(there, stamp_ns, config.velocity_gain);
     (track.good, track.bad, track.score) = (track.good + 1, 0, score);
-    if track.good >= config.confirm_after {
+    if track.phase == TrackPhase::Tracking || track.good >= config.confirm_after {
         (track.phase, track.reason) = (TrackPhase::Tracking, TrackReason::Confirmed);
     }
 }

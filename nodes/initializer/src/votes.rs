@@ -1,6 +1,8 @@
 //! From the network's answer to groups of cells that mean the same instance.
 
+use crate::detect::Rectangle;
 use crate::network::Answer;
+use nalgebra::{Point2, Vector2};
 use pseudoflow_network::{CORNERS, SURFACE_UNIT};
 
 /// What one cell says.
@@ -21,11 +23,14 @@ pub struct Vote {
 }
 
 impl Vote {
-    /// Middle and larger side of the rectangle, pixels.
+    /// The rectangle, at least a pixel wide and high.
     #[must_use]
-    pub fn extent(&self) -> ([f32; 2], f32) {
-        let [left, top, right, bottom] = self.rectangle_px;
-        ([(left + right) / 2.0, (top + bottom) / 2.0], (right - left).max(bottom - top).max(1.0))
+    pub fn rectangle(&self) -> Rectangle {
+        let [left, top, right, bottom] = self.rectangle_px.map(f64::from);
+        Rectangle {
+            middle_px: Point2::new((left + right) / 2.0, (top + bottom) / 2.0),
+            size_px: Vector2::new((right - left).max(1.0), (bottom - top).max(1.0)),
+        }
     }
 }
 
@@ -60,13 +65,13 @@ pub fn votes(answer: &Answer<'_>, min_score: f32) -> Vec<Vote> {
     votes
 }
 
-/// Middle and larger side of what a group of votes means, pixels of the input: the mean of the surest.
+/// The rectangle that a group of votes means, pixels of the input: the mean of the surest.
 #[must_use]
-pub fn place(votes: &[Vote]) -> ([f32; 2], f32) {
-    let surest = &votes[..votes.len().min(SUREST)];
-    let n = surest.len().max(1) as f32;
-    let mean = |value: &dyn Fn(([f32; 2], f32)) -> f32| surest.iter().map(|v| value(v.extent())).sum::<f32>() / n;
-    ([mean(&|e| e.0[0]), mean(&|e| e.0[1])], mean(&|e| e.1))
+pub fn place(votes: &[Vote]) -> Rectangle {
+    let surest = || votes.iter().take(SUREST).map(Vote::rectangle);
+    let n = surest().count().max(1) as f64;
+    let middle = surest().map(|r| r.middle_px.coords).sum::<Vector2<f64>>() / n;
+    Rectangle { middle_px: middle.into(), size_px: surest().map(|r| r.size_px).sum::<Vector2<f64>>() / n }
 }
 
 /// How sure the surest votes of a group are, 0..1.
@@ -80,24 +85,23 @@ pub fn sureness(votes: &[Vote]) -> f64 {
 const SUREST: usize = 8;
 
 /// Votes belong together up to this distance of their middles, in sides.
-const SAME_PLACE: f32 = 0.3;
+const SAME_PLACE: f64 = 0.3;
 /// And up to this ratio of their sides.
-const SAME_SIZE: f32 = 1.7;
+const SAME_SIZE: f64 = 1.7;
 
 /// Groups of votes for one instance each; the surest vote of a group comes first, and the groups are ordered by it.
 #[must_use]
 pub fn group(votes: &[Vote]) -> Vec<Vec<Vote>> {
     let mut groups: Vec<Vec<Vote>> = Vec::new();
     for vote in votes {
-        let (at, side) = vote.extent();
+        let seen = vote.rectangle();
         let same = |group: &&mut Vec<Vote>| {
             let seed = &group[0];
-            let (seed_at, seed_side) = seed.extent();
-            let away = (at[0] - seed_at[0]).hypot(at[1] - seed_at[1]);
-            seed.class == vote.class
-                && away < SAME_PLACE * seed_side
-                && side < SAME_SIZE * seed_side
-                && seed_side < SAME_SIZE * side
+            let (class, seed) = (seed.class, seed.rectangle());
+            class == vote.class
+                && (seen.middle_px - seed.middle_px).norm() < SAME_PLACE * seed.side_px()
+                && seen.side_px() < SAME_SIZE * seed.side_px()
+                && seed.side_px() < SAME_SIZE * seen.side_px()
         };
         match groups.iter_mut().find(same) {
             Some(group) => group.push(*vote),

@@ -1,10 +1,11 @@
 //! Render and compare on renderings whose pose is known: another light, another background, a rough place.
 
-use nalgebra::{Point2, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose, rotation_angle_rad};
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View};
 use pseudoflow_imaging::{Object, ObjectSet, RgbImage};
 use pseudoflow_inference::{Backend, EngineConfig};
+use pseudoflow_initializer::detect::Rectangle;
 use pseudoflow_initializer::{CompareConfig, Comparer};
 use std::path::{Path, PathBuf};
 
@@ -29,12 +30,13 @@ fn photograph(rasteriser: &SoftwareRasteriser, object: &Object, pose: &Pose) -> 
     image
 }
 
-/// Middle and larger side of the projection.
-fn place(object: &Object, pose: &Pose) -> (Point2<f64>, f64) {
+/// The rectangle around the projection.
+fn place(object: &Object, pose: &Pose) -> Rectangle {
     let seen: Vec<Point2<f64>> = object.hull_m.iter().map(|p| K.project(&(pose * p)).unwrap()).collect();
     let range = |k: usize| seen.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[k]), h.max(p[k])));
     let (x, y) = (range(0), range(1));
-    (Point2::new((x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0), (x.1 - x.0).max(y.1 - y.0))
+    let middle_px = Point2::new((x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0);
+    Rectangle { middle_px, size_px: Vector2::new(x.1 - x.0, y.1 - y.0) }
 }
 
 #[test]
@@ -53,12 +55,15 @@ fn the_most_similar_view_is_near_the_true_pose() {
         let truth = Pose::from_parts(Translation3::new(0.03 * i - 0.1, 0.05, 0.9), rotation);
         let image = photograph(&rasteriser, object, &truth);
         // As a detector gives it: off by some pixels, and too large or too small.
-        let (at, side_px) = place(object, &truth);
-        let rough = (at + nalgebra::Vector2::new(6.0, -5.0), side_px * (0.92 + 0.02 * i));
-        let best = comparer.best(&image, &K, object, rough).unwrap()[0];
+        let seen = place(object, &truth);
+        let rough = Rectangle {
+            middle_px: seen.middle_px + Vector2::new(6.0, -5.0),
+            size_px: seen.size_px * (0.92 + 0.02 * i),
+        };
+        let best = comparer.best(&image, &K, object, &rough).unwrap()[0];
         away_m.push((best.camera_from_object.translation.vector - truth.translation.vector).norm());
         turns_deg.push(rotation_angle_rad(&best.camera_from_object, &truth).to_degrees());
-        assert_eq!(comparer.best(&image, &K, object, rough).unwrap()[0], best, "the same twice");
+        assert_eq!(comparer.best(&image, &K, object, &rough).unwrap()[0], best, "the same twice");
     }
     turns_deg.sort_by(f64::total_cmp);
     away_m.sort_by(f64::total_cmp);

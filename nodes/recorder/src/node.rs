@@ -66,7 +66,8 @@ impl RecorderNode {
         let header = Header { stamp, frame_id: frame.header.frame_id().to_owned() };
         let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb.to_vec());
         let image = image.ok_or("the frame has too few pixels")?;
-        let overlay = self.overlay(image.clone(), &frame, initial.as_deref().unwrap_or_default(), poses.unwrap_or_default())?;
+        let overlay =
+            self.overlay(image.clone(), &frame, initial.as_deref().unwrap_or_default(), poses.unwrap_or_default())?;
         let jpeg_quality = self.config.jpeg_quality;
         let pictures = self.config.overlay.as_ref().and_then(|overlay| overlay.pictures.clone());
         let extras = Extras {

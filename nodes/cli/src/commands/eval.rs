@@ -1,6 +1,6 @@
 use super::progress_bar;
 use crate::pipeline::{Finder, Frame, Pipeline, PipelineConfig};
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use pseudoflow_evaluator::{
     Difference, EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset, overlays,
 };
@@ -53,9 +53,9 @@ pub(crate) struct Args {
     /// The network that the weights belong to: nano, small or paper.
     #[arg(long, default_value = "nano")]
     network: String,
-    /// Width and height of the crops, pixels.
-    #[arg(long, default_value_t = 128)]
-    size: u32,
+    /// Width and height of the crops, pixels; several, for one pass after the other (`128,256`): the last one goes on.
+    #[arg(long, value_delimiter = ',', default_value = "128")]
+    size: Vec<u32>,
     /// Iterations of the network.
     #[arg(long, default_value_t = 12)]
     iterations: u32,
@@ -171,7 +171,7 @@ fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<
         Some(path) => numbered(read_results(path, Some(&dataset.known))?),
         None => numbered(dataset.initial_estimates()),
     };
-    let mut pipeline = Pipeline::open(pipeline_config(args, weights, dataset)?)?;
+    let mut passes = passes(args, weights, dataset)?;
     let part = args.csv().with_extension("csv.part");
     let (mut writer, mut refined) = match args.resume {
         true => ResultsWriter::resume(&part)?,
@@ -182,7 +182,7 @@ fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<
         let is_here = |e: &&Estimate| (e.scene_id, e.image_id) == (image.scene_id, image.frame.image_id);
         if !refined.iter().any(|e| is_here(&e)) {
             let here: Vec<&Initial> = initial.iter().filter(|i| is_here(&&i.estimate)).collect();
-            let estimates = refine_image(&mut pipeline, image, &here)?;
+            let estimates = refine_image(&mut passes, image, &here)?;
             writer.write_image(&estimates)?;
             refined.extend(estimates);
         }
@@ -206,24 +206,40 @@ fn engine(args: &Args) -> Result<EngineConfig> {
     Ok(EngineConfig { backend, onnxruntime: args.onnxruntime.clone(), ..EngineConfig::default() })
 }
 
-fn pipeline_config(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<PipelineConfig> {
+/// A pipeline for each size, with the passes that it makes.
+fn passes(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Pipeline>> {
+    let (sizes, passes) = (args.size.len() as u32, args.passes);
+    ensure!(sizes <= passes, "`--size` names {sizes} sizes for `--passes {passes}`: give a pass to each");
+    let open = |(i, size): (usize, &u32)| {
+        let passes = if i + 1 == args.size.len() { passes + 1 - sizes } else { 1 };
+        Pipeline::open(pipeline_config(args, weights, dataset, (*size, passes))?)
+    };
+    args.size.iter().enumerate().map(open).collect()
+}
+
+fn pipeline_config(
+    args: &Args,
+    weights: &Path,
+    dataset: &EvalDataset,
+    (size_px, passes): (u32, u32),
+) -> Result<PipelineConfig> {
     let mut pnp = PnpNodeConfig::default();
     if args.no_gate {
         pnp.gate = None;
     }
     Ok(PipelineConfig {
-        renderer: RendererConfig::new(args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone()), args.size),
+        renderer: RendererConfig::new(args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone()), size_px),
         flow: FlowConfig {
             model: weights.to_owned(),
             network: super::export::network(&args.network)?,
-            size_px: args.size,
+            size_px,
             iterations: args.iterations,
             max_batch: 16,
             engine: engine(args)?,
             lockstep: None,
         },
         pnp,
-        passes: args.passes,
+        passes,
         seed: args.seed,
     })
 }
@@ -303,13 +319,17 @@ fn estimate(image: &EvalImage, pose: &ObjectPose) -> Result<Estimate> {
     })
 }
 
-fn refine_image(pipeline: &mut Pipeline, image: &EvalImage, initial: &[&Initial]) -> Result<Vec<Estimate>> {
+fn refine_image(passes: &mut [Pipeline], image: &EvalImage, initial: &[&Initial]) -> Result<Vec<Estimate>> {
     let rgb = image.frame.load_image()?;
-    let poses: Vec<ObjectPose> = initial.iter().map(|i| given(&i.estimate, i.instance)).collect();
-    let refined = pipeline.refine(&frame(image, &rgb), &poses)?;
-    let image_time_s = Some(refined.stages.iter().sum::<std::time::Duration>().as_secs_f64());
-    let last = refined.passes.last().context("`--passes 0`: give at least 1")?;
-    last.iter().map(|pose| Ok(Estimate { image_time_s, ..estimate(image, pose)? })).collect()
+    let mut poses: Vec<ObjectPose> = initial.iter().map(|i| given(&i.estimate, i.instance)).collect();
+    let mut took = std::time::Duration::ZERO;
+    for pipeline in passes {
+        let refined = pipeline.refine(&frame(image, &rgb), &poses)?;
+        took += refined.stages.iter().sum::<std::time::Duration>();
+        poses = refined.passes.last().context("a pipeline makes a pass")?.clone();
+    }
+    let image_time_s = Some(took.as_secs_f64());
+    poses.iter().map(|pose| Ok(Estimate { image_time_s, ..estimate(image, pose)? })).collect()
 }
 
 fn given(estimate: &Estimate, instance: u32) -> ObjectPose {

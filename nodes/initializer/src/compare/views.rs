@@ -2,7 +2,8 @@
 
 use super::{CELLS, CompareConfig, Encoder, MARGIN, SIZE_PX};
 use crate::InitializerError;
-use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use crate::detect::Rectangle;
+use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::Object;
 use pseudoflow_imaging::raster::{Rasteriser, View as Rendered};
@@ -11,6 +12,8 @@ use pseudoflow_imaging::raster::{Rasteriser, View as Rendered};
 pub(super) struct View {
     /// `camera_from_object`, for an object on the optical axis.
     pub(super) rotation: UnitQuaternion<f64>,
+    /// Width and height of the projection, over the larger of them.
+    pub(super) shape: Vector2<f64>,
     /// Cells that show the object, and their features one behind the other.
     cells: Vec<[i32; 2]>,
     features: Vec<f32>,
@@ -84,33 +87,39 @@ pub(super) fn views(
     let failed = |e: pseudoflow_imaging::raster::RasterError| InitializerError::Render(e.to_string());
     let mut views = Vec::with_capacity(rotations.len());
     for batch in rotations.chunks(BATCH) {
-        let asked: Vec<Rendered> = batch.iter().map(|rotation| seen(object, rotation)).collect();
+        let (asked, shapes): (Vec<Rendered>, Vec<_>) = batch.iter().map(|rotation| seen(object, rotation)).unzip();
         let renderings = rasteriser.render(&asked).map_err(failed)?;
         let rgb: Vec<u8> = renderings.iter().flat_map(|r| r.rgb.as_raw().iter().copied()).collect();
         let features = encoder.encode(&rgb)?;
         let per_view = features.len() / batch.len();
-        for ((rotation, rendering), features) in batch.iter().zip(&renderings).zip(features.chunks_exact(per_view)) {
+        let each = batch.iter().zip(shapes).zip(&renderings).zip(features.chunks_exact(per_view));
+        for (((rotation, shape), rendering), features) in each {
             let channels = per_view / (CELLS * CELLS);
             let cells = covered(&rendering.mask);
             let of_cell = |[x, y]: &[i32; 2]| &features[(*y as usize * CELLS + *x as usize) * channels..][..channels];
             let features = cells.iter().flat_map(of_cell).copied().collect();
-            views.push(View { rotation: *rotation, cells, features });
+            views.push(View { rotation: *rotation, shape, cells, features });
         }
     }
     Ok(views)
 }
 
-/// The object on the optical axis, its projection filling the crop but for the margin.
-fn seen(object: &Object, rotation: &UnitQuaternion<f64>) -> Rendered {
+/// The object on the optical axis, its projection filling the crop but for the margin, and width and height of the projection
+/// over the larger of them.
+fn seen(object: &Object, rotation: &UnitQuaternion<f64>) -> (Rendered, Vector2<f64>) {
     let centre = rotation * object.box_centre_m();
     let middle = Point3::new(0.0, 0.0, DISTANCE * object.diameter_m);
     let pose = Pose::from_parts(Translation3::from(middle - centre), *rotation);
     let one = Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
-    let (at, side) = crate::detect::extent(object, &pose, &one).unwrap_or((nalgebra::Point2::origin(), 0.3));
-    let focal = f64::from(SIZE_PX) / MARGIN / side;
+    let nowhere = || Rectangle { middle_px: Point2::origin(), size_px: Vector2::repeat(0.3) };
+    let at = crate::detect::extent(object, &pose, &one).unwrap_or_else(nowhere);
+    let focal = f64::from(SIZE_PX) / MARGIN / at.side_px();
     let half = (f64::from(SIZE_PX) - 1.0) / 2.0;
-    let intrinsics = Intrinsics { fx: focal, fy: focal, cx: half - focal * at.x, cy: half - focal * at.y };
-    Rendered { object_id: object.id, camera_from_object: pose, intrinsics, width: SIZE_PX, height: SIZE_PX }
+    let [cx, cy] = [half - focal * at.middle_px.x, half - focal * at.middle_px.y];
+    let intrinsics = Intrinsics { fx: focal, fy: focal, cx, cy };
+    let rendered =
+        Rendered { object_id: object.id, camera_from_object: pose, intrinsics, width: SIZE_PX, height: SIZE_PX };
+    (rendered, at.size_px / at.side_px())
 }
 
 /// Cells that are mostly of the object.

@@ -119,7 +119,7 @@ fn votes_for_nothing_make_no_pose() {
         })
         .collect();
     let found = solve(&votes, object, &K, &DetectConfig::default(), &mut ChaCha8Rng::seed_from_u64(6)).unwrap();
-    assert!(found.is_none_or(|d| d.score < DetectConfig::default().min_score), "{found:?}");
+    assert!(found.as_ref().is_none_or(|d| d.score < DetectConfig::default().min_score), "{found:?}");
     let bad = DetectConfig { threshold_sides: 0.0, ..DetectConfig::default() };
     assert!(bad.check().unwrap_err().to_string().contains("threshold_sides"));
 }

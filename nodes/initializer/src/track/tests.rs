@@ -95,14 +95,14 @@ fn predictions_follow_a_constant_velocity() {
     for i in 0..6 {
         frame(&mut tracker, i, moving(i), true);
     }
-    let predicted = tracker.predict(6 * STEP_NS)[0];
+    let predicted = &tracker.predict(6 * STEP_NS)[0];
     assert!(predicted.tracked);
     // The turn bends the path in the object's frame a little.
     let away_m = (predicted.camera_from_object.translation.vector - moving(6).translation.vector).norm();
     assert!(away_m < 5e-4, "{away_m}");
     assert!(rotation_angle_rad(&predicted.camera_from_object, &moving(6)) < 1e-6);
     // After a long gap it is where it was.
-    let later = tracker.predict(6 * STEP_NS + 2_000_000_000)[0];
+    let later = &tracker.predict(6 * STEP_NS + 2_000_000_000)[0];
     assert!((later.camera_from_object.translation.vector - moving(5).translation.vector).norm() < 1e-12);
 }
 
@@ -182,4 +182,26 @@ fn a_new_track_carries_its_other_poses_until_one_of_them_was_chosen() {
     let next = tracker.predict(STEP_NS).remove(0);
     assert_eq!((next.tracked, next.others), (true, vec![]));
     assert!(rotation_angle_rad(&next.camera_from_object, &at(0.0, 2.0)) < 1e-9, "it goes on from the chosen one");
+}
+
+#[test]
+fn a_doubtful_track_gets_another_chance_where_it_is_detected() {
+    let mut tracker = tracker(1);
+    for i in 0..3 {
+        frame(&mut tracker, i, at(0.0, 0.5), true);
+    }
+    let predicted = tracker.predict(3 * STEP_NS);
+    tracker.learn(&[refined(&predicted[0], at(0.0, 0.5), PoseStatus::NotSeen)], 3 * STEP_NS);
+    // Further off than a jump may be, and turned further.
+    let there = at(0.3, 2.5);
+    tracker.found(&[detection(there)], 4 * STEP_NS);
+    let predicted = tracker.predict(4 * STEP_NS);
+    assert_eq!((predicted[0].instance, predicted[0].camera_from_object), (0, there));
+    let [expected] = predicted[0].others[..] else { panic!("{predicted:?}") };
+    assert!((expected.camera_from_object.translation.vector - at(0.0, 0.5).translation.vector).norm() < 1e-9);
+    tracker.learn(&[refined(&predicted[0], there, PoseStatus::Ok)], 4 * STEP_NS);
+    assert_eq!(status(&tracker), (TrackPhase::Tracking as u32, TrackReason::Confirmed as u32));
+    let next = &tracker.predict(5 * STEP_NS)[0];
+    assert!(next.tracked && next.others.is_empty(), "{next:?}");
+    assert!((next.camera_from_object.translation.vector - there.translation.vector).norm() < 1e-9);
 }
