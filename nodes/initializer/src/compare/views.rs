@@ -1,6 +1,8 @@
 //! The views of an object: directions spread evenly over the sphere, each turned about the line of sight.
 
-use super::{CELLS, CompareConfig, Encoder, MARGIN, SIZE_PX};
+use super::CompareConfig;
+use super::crops::MARGIN;
+use super::encoder::{CELL_PX, Encoder};
 use crate::InitializerError;
 use crate::detect::Rectangle;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
@@ -14,6 +16,8 @@ pub(super) struct View {
     pub(super) rotation: UnitQuaternion<f64>,
     /// Width and height of the projection, over the larger of them.
     pub(super) shape: Vector2<f64>,
+    /// Cells across.
+    across: i32,
     /// Cells that show the object, and their features one behind the other.
     cells: Vec<[i32; 2]>,
     features: Vec<f32>,
@@ -31,7 +35,7 @@ const BATCH: usize = 32;
 const DISTANCE: f64 = 4.0;
 
 impl View {
-    /// Mean cosine with the features of a crop (CELLS^2 x channels) at the best of the whole shifts, and where the best shift
+    /// Mean cosine with the features of a crop (across^2 x channels) at the best of the whole shifts, and where the best shift
     /// lies between them, cells.
     pub(super) fn similarity(&self, crop: &[f32]) -> (f32, [f64; 2]) {
         let all: [f32; ACROSS * ACROSS] = std::array::from_fn(|i| self.shifted(crop, [i % ACROSS, i / ACROSS]));
@@ -49,7 +53,7 @@ impl View {
     /// At one shift, numbered from the smallest.
     fn shifted(&self, crop: &[f32], shift: [usize; 2]) -> f32 {
         let channels = self.features.len() / self.cells.len().max(1);
-        let (size, shift) = (CELLS as i32, shift.map(|s| s as i32 - SHIFT));
+        let (size, shift) = (self.across, shift.map(|s| s as i32 - SHIFT));
         let mut sum = 0.0;
         for ([x, y], feature) in self.cells.iter().zip(self.features.chunks_exact(channels.max(1))) {
             let (x, y) = (x + shift[0], y + shift[1]);
@@ -85,20 +89,21 @@ pub(super) fn views(
     encoder: &mut Encoder,
 ) -> Result<Vec<View>, InitializerError> {
     let failed = |e: pseudoflow_imaging::raster::RasterError| InitializerError::Render(e.to_string());
+    let (size_px, across, channels) = (encoder.size_px, encoder.across(), encoder.channels);
     let mut views = Vec::with_capacity(rotations.len());
     for batch in rotations.chunks(BATCH) {
-        let (asked, shapes): (Vec<Rendered>, Vec<_>) = batch.iter().map(|rotation| seen(object, rotation)).unzip();
+        let (asked, shapes): (Vec<Rendered>, Vec<_>) =
+            batch.iter().map(|rotation| seen(object, rotation, size_px)).unzip();
         let renderings = rasteriser.render(&asked).map_err(failed)?;
         let rgb: Vec<u8> = renderings.iter().flat_map(|r| r.rgb.as_raw().iter().copied()).collect();
         let features = encoder.encode(&rgb)?;
-        let per_view = features.len() / batch.len();
+        let per_view = across * across * channels;
         let each = batch.iter().zip(shapes).zip(&renderings).zip(features.chunks_exact(per_view));
         for (((rotation, shape), rendering), features) in each {
-            let channels = per_view / (CELLS * CELLS);
-            let cells = covered(&rendering.mask);
-            let of_cell = |[x, y]: &[i32; 2]| &features[(*y as usize * CELLS + *x as usize) * channels..][..channels];
+            let cells = covered(&rendering.mask, across);
+            let of_cell = |[x, y]: &[i32; 2]| &features[(*y as usize * across + *x as usize) * channels..][..channels];
             let features = cells.iter().flat_map(of_cell).copied().collect();
-            views.push(View { rotation: *rotation, shape, cells, features });
+            views.push(View { rotation: *rotation, shape, across: across as i32, cells, features });
         }
     }
     Ok(views)
@@ -106,30 +111,32 @@ pub(super) fn views(
 
 /// The object on the optical axis, its projection filling the crop but for the margin, and width and height of the projection
 /// over the larger of them.
-fn seen(object: &Object, rotation: &UnitQuaternion<f64>) -> (Rendered, Vector2<f64>) {
+fn seen(object: &Object, rotation: &UnitQuaternion<f64>, size_px: u32) -> (Rendered, Vector2<f64>) {
     let centre = rotation * object.box_centre_m();
     let middle = Point3::new(0.0, 0.0, DISTANCE * object.diameter_m);
     let pose = Pose::from_parts(Translation3::from(middle - centre), *rotation);
     let one = Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
     let nowhere = || Rectangle { middle_px: Point2::origin(), size_px: Vector2::repeat(0.3) };
     let at = crate::detect::extent(object, &pose, &one).unwrap_or_else(nowhere);
-    let focal = f64::from(SIZE_PX) / MARGIN / at.side_px();
-    let half = (f64::from(SIZE_PX) - 1.0) / 2.0;
+    let focal = f64::from(size_px) / MARGIN / at.side_px();
+    let half = (f64::from(size_px) - 1.0) / 2.0;
     let [cx, cy] = [half - focal * at.middle_px.x, half - focal * at.middle_px.y];
     let intrinsics = Intrinsics { fx: focal, fy: focal, cx, cy };
     let rendered =
-        Rendered { object_id: object.id, camera_from_object: pose, intrinsics, width: SIZE_PX, height: SIZE_PX };
+        Rendered { object_id: object.id, camera_from_object: pose, intrinsics, width: size_px, height: size_px };
     (rendered, at.size_px / at.side_px())
 }
 
 /// Cells that are mostly of the object.
-fn covered(mask: &[u8]) -> Vec<[i32; 2]> {
-    let size = SIZE_PX as usize;
+fn covered(mask: &[u8], across: usize) -> Vec<[i32; 2]> {
+    let size = across * CELL_PX;
     let cover = |x: usize, y: usize| {
-        let inside = (0..64).filter(|i| mask[(8 * y + i / 8) * size + 8 * x + i % 8] != 0).count();
-        inside as f64 / 64.0
+        let inside = (0..CELL_PX * CELL_PX)
+            .filter(|i| mask[(CELL_PX * y + i / CELL_PX) * size + CELL_PX * x + i % CELL_PX] != 0)
+            .count();
+        inside as f64 / (CELL_PX * CELL_PX) as f64
     };
-    let all = (0..CELLS).flat_map(|y| (0..CELLS).map(move |x| (x, y)));
+    let all = (0..across).flat_map(|y| (0..across).map(move |x| (x, y)));
     all.filter(|&(x, y)| cover(x, y) >= LEAST_COVER).map(|(x, y)| [x as i32, y as i32]).collect()
 }
 
