@@ -33,9 +33,13 @@ pub(crate) struct Args {
     /// Rendered views of each instance.
     #[arg(long, default_value_t = 4)]
     views: u32,
-    /// Width and height of the crops, pixels.
+    /// Width and height of the crops that the network sees, pixels.
     #[arg(long, default_value_t = 128)]
     size: u32,
+    /// Width and height of the crops in which the truth is drawn, pixels: `--size` times 1, 2 or 4, as in `pseudoflow adapt`.
+    /// [default: `--size`]
+    #[arg(long)]
+    label_size: Option<u32>,
     /// Peak of the one-cycle learning rate.
     #[arg(long, default_value_t = 1e-4)]
     max_lr: f64,
@@ -53,6 +57,12 @@ pub(crate) struct Args {
     seed: u64,
 }
 
+impl Args {
+    fn label_px(&self) -> u32 {
+        self.label_size.unwrap_or(self.size)
+    }
+}
+
 /// The nodes that make samples, with truth in the place of the teacher.
 struct Samples {
     player: PlayerNode,
@@ -60,6 +70,7 @@ struct Samples {
     truth: Truth,
     context: Context,
     seed: u64,
+    shrink: usize,
 }
 
 impl Samples {
@@ -72,7 +83,7 @@ impl Samples {
         };
         let player = PlayerConfig { sampling: Some(sampling), ..args.source.player() };
         let renderer =
-            RendererConfig { views: args.views, ..RendererConfig::new(args.source.objects.clone(), args.size) };
+            RendererConfig { views: args.views, ..RendererConfig::new(args.source.objects.clone(), args.label_px()) };
         // The names of the nodes are those of the graph, so that what they draw is the same.
         let named = |name: &str| Context { name: name.into(), ..context(args.seed) };
         Ok(Self {
@@ -81,6 +92,7 @@ impl Samples {
             truth: args.source.truth()?,
             context: named("player"),
             seed: args.seed,
+            shrink: (args.label_px() / args.size) as usize,
         })
     }
 
@@ -97,7 +109,7 @@ impl Samples {
         let Some((flow, labels)) = self.labels(&views)? else { return Ok(None) };
         let (flow, labels) = (FlowFields::view(&flow)?, PseudoLabels::view(&labels)?);
         let mut rng = Context { name: "trainer".into(), ..context }.rng(number, "augment 0");
-        Ok(Some(Sample::of(&views, &flow, &labels, 0, 1, Some(&mut rng))))
+        Ok(Some(Sample::of(&views, &flow, &labels, 0, self.shrink, Some(&mut rng))))
     }
 
     /// Truth in the form of labels; none when nothing of the object is seen.
@@ -131,10 +143,10 @@ impl Samples {
 }
 
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
-    let mut source = Samples::open(args)?;
     let config = TrainerConfig {
         network: args.network.clone(),
-        size_px: args.size,
+        size_px: args.label_px(),
+        student_px: Some(args.size),
         frames_per_step: args.batch,
         max_lr: args.max_lr,
         ema_alpha: args.ema,
@@ -142,6 +154,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
         ..TrainerConfig::new(args.weights.clone(), args.out.clone(), args.steps)
     };
     config.check()?;
+    let mut source = Samples::open(args)?;
     let mut state = AdaptState::new(&config)?;
     let style = ProgressStyle::with_template("{bar:30} step {pos}/{len} {msg} {eta}")?;
     let bar = ProgressBar::new(args.steps).with_style(style);
