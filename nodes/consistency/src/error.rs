@@ -1,5 +1,5 @@
 /// Why no labels could be made.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ConsistencyError {
     /// A plane of a view has another size than the view.
     #[error("{plane} of view {view} has {found} values; {size_px} x {size_px} pixels need {needed}")]
@@ -26,6 +26,9 @@ pub enum ConsistencyError {
         /// Fields that the views ask for.
         views: usize,
     },
+    /// The votes are no input for the solver.
+    #[error(transparent)]
+    Solver(#[from] pseudoflow_solver::PnpError),
     /// A setting out of range.
     #[error("`{name}: {got}`: give {must}")]
     Setting {

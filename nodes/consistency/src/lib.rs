@@ -10,6 +10,7 @@
 mod error;
 mod node;
 mod picture;
+mod rigid;
 mod votes;
 
 #[cfg(test)]

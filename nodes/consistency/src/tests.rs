@@ -183,6 +183,67 @@ fn the_mean_vote_outvotes_one_of_four() {
     assert!(errors.iter().all(|error| (error - 0.1).abs() < 5e-3), "{:?}", &errors[..8]);
 }
 
+/// Largest distance, px, of a view's labels from the perfect flow, and how many there are.
+fn worst(labels: &Labels, right: &Planes) -> (f32, usize) {
+    let off = |pixel: usize| {
+        let [dx, dy] = [0, 1].map(|axis| labels.label_px[2 * pixel + axis] - right.flow_px[2 * pixel + axis]);
+        dx.hypot(dy)
+    };
+    let valid = (0..SIZE * SIZE).filter(|pixel| labels.valid[*pixel] != 0);
+    (valid.clone().map(off).fold(0.0, f32::max), valid.count())
+}
+
+#[test]
+fn a_rigid_label_is_right_though_a_part_of_every_flow_is_wrong() {
+    let mut scene = scene();
+    // The left of the image: every view is misled in the same way, so the votes agree there and the mean would be wrong.
+    for planes in &mut scene {
+        let misled = |pixel: usize| (pixel % SIZE) as f32 + planes.flow_px[2 * pixel] < 38.0;
+        let misled: Vec<usize> = (0..SIZE * SIZE).filter(|pixel| misled(*pixel)).collect();
+        misled.iter().for_each(|pixel| planes.flow_px[2 * pixel] -= 5.0);
+    }
+    let mean = label_all(&scene, &Rule { label: Label::MeanVote, ..RULE });
+    let rigid = label_all(&scene, &Rule { label: Label::Rigid, ..RULE });
+    for (view, planes) in scene.iter().enumerate() {
+        let right = self::planes(planes.pose, &real());
+        let (mean, (off_px, count)) = (worst(&mean[view], &right), worst(&rigid[view], &right));
+        assert!(mean.0 > 4.9, "view {view}: the mean is off by {mean:?}");
+        assert!(off_px < RULE.tau_px as f32 && count > 1000, "view {view}: {count} labels, {off_px} px off");
+        assert!(count < mean.1, "view {view}: the misled part has no label");
+    }
+}
+
+#[test]
+fn the_rigid_label_takes_noise_out_and_counts_it_as_sigma() {
+    let mut scene = scene();
+    // All views are off in the same way, in a pattern that is no motion.
+    for planes in &mut scene {
+        for pixel in 0..SIZE * SIZE {
+            let y = (pixel / SIZE) as f32 + planes.flow_px[2 * pixel + 1];
+            planes.flow_px[2 * pixel] += 0.3 * (y * 0.9).sin();
+        }
+    }
+    let labels = label_all(&scene, &Rule { label: Label::Rigid, ..RULE });
+    let right = planes(scene[0].pose, &real());
+    let inside: Vec<usize> = (0..SIZE * SIZE).filter(|pixel| is_inside_face(&scene, 0, *pixel)).collect();
+    let off = |pixel: &usize| labels[0].label_px[2 * pixel] - right.flow_px[2 * pixel];
+    assert!(inside.iter().all(|pixel| labels[0].valid[*pixel] == 0 || off(pixel).abs() < 0.1));
+    let sigmas = sigmas(&labels[0]);
+    let root_mean_square = (sigmas.iter().map(|s| s * s).sum::<f32>() / sigmas.len() as f32).sqrt();
+    assert!((root_mean_square - 0.3 / 2f32.sqrt()).abs() < 0.03, "{root_mean_square}");
+}
+
+#[test]
+fn flows_that_are_no_motion_have_no_rigid_label() {
+    let mut scene = scene();
+    for (pixel, flow) in scene.iter_mut().flat_map(|planes| planes.flow_px.chunks_exact_mut(2).enumerate()) {
+        let scattered = |seed: usize| ((pixel * 2_654_435_761 + seed) % 61) as f32 - 30.0;
+        (flow[0], flow[1]) = (flow[0] + scattered(0), flow[1] + scattered(17));
+    }
+    let all = Rule { label: Label::Rigid, accept_all: true, ..RULE };
+    assert!(label_all(&scene, &all).iter().all(|labels| count(&labels.valid) == 0));
+}
+
 #[test]
 fn half_a_pixel_is_seen() {
     let mut scene = scene();

@@ -1,6 +1,6 @@
 //! Votes of the views for each surface point, and what they agree on.
 
-use crate::ConsistencyError;
+use crate::{ConsistencyError, rigid};
 use nalgebra::{Point3, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use rayon::prelude::*;
@@ -33,6 +33,9 @@ pub enum Label {
     TeacherFlow,
     /// From the pixel to the mean of all votes.
     MeanVote,
+    /// From the pixel to where the one motion of the object that explains most votes of all views takes it; sigma is then the
+    /// spread of the votes around that. Not in the paper: flows of a rigid object have six degrees of freedom, not two a pixel.
+    Rigid,
 }
 
 /// When votes become a label.
@@ -81,13 +84,23 @@ impl View<'_> {
         }
     }
 
+    fn here(&self, pixel: usize) -> [f64; 2] {
+        [(pixel % self.size_px) as f64, (pixel / self.size_px) as f64]
+    }
+
+    /// Where the view's own flow takes a pixel.
+    fn target(&self, pixel: usize) -> [f64; 2] {
+        let [x, y] = self.here(pixel);
+        [x + f64::from(self.flow_px[2 * pixel]), y + f64::from(self.flow_px[2 * pixel + 1])]
+    }
+
     fn is_on_object(&self, pixel: usize) -> bool {
         self.mask[pixel] != 0 && self.depth_m[pixel] > 0.0
     }
 
     /// The surface point of a pixel, in this view's camera.
     fn point(&self, pixel: usize) -> Vector3<f64> {
-        let (x, y) = ((pixel % self.size_px) as f64, (pixel / self.size_px) as f64);
+        let [x, y] = self.here(pixel);
         let (k, z) = (&self.intrinsics, f64::from(self.depth_m[pixel]));
         Vector3::new((x - k.cx) / k.fx * z, (y - k.cy) / k.fy * z, z)
     }
@@ -144,47 +157,71 @@ fn spread(votes: &[[f64; 2]]) -> ([f64; 2], f64) {
 /// When a plane has the wrong size.
 pub fn label(views: &[View<'_>], diameter_m: f64, rule: &Rule) -> Result<Vec<Labels>, ConsistencyError> {
     views.iter().enumerate().try_for_each(|(i, view)| view.check(i))?;
-    Ok((0..views.len()).into_par_iter().map(|view| label_view(views, view, diameter_m, rule)).collect())
+    let votes: Vec<_> = (0..views.len()).map(|view| votes_for(views, view, diameter_m, rule)).collect();
+    let motion = if rule.label == Label::Rigid { rigid::motion(views, &votes)? } else { None };
+    Ok(views.iter().zip(&votes).map(|(view, votes)| labels_of(view, votes, rule, motion.as_ref())).collect())
 }
 
-fn label_view(views: &[View<'_>], own: usize, diameter_m: f64, rule: &Rule) -> Labels {
+/// What the views say about a surface point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Agreement {
+    /// The point, metres, in the object's frame.
+    pub point_in_object: Point3<f64>,
+    /// Mean of the votes, crop pixels.
+    pub mean_px: [f64; 2],
+    /// Their spread, pixels.
+    pub sigma_px: f64,
+    /// Whether enough views see the point.
+    pub agreed: bool,
+}
+
+/// What the views say about every pixel of one of them; `None` off the object.
+fn votes_for(views: &[View<'_>], own: usize, diameter_m: f64, rule: &Rule) -> Vec<Option<Agreement>> {
     let (view, size_px) = (&views[own], views[own].size_px);
     let object_from_own = view.camera_from_object.inverse();
     let other_from_own: Vec<Pose> = views.iter().map(|other| other.camera_from_object * object_from_own).collect();
     let min_views = rule.min_views.min(views.len());
     let row = |y: usize| {
-        let mut out = vec![(f32::NAN, None); size_px];
         let mut votes = Vec::with_capacity(views.len());
-        for (x, out) in out.iter_mut().enumerate() {
+        let mut pixel = |x: usize| {
             let pixel = y * size_px + x;
-            if !view.is_on_object(pixel) {
-                continue;
-            }
-            let point = view.point(pixel);
-            let flow = [view.flow_px[2 * pixel], view.flow_px[2 * pixel + 1]].map(f64::from);
-            let here = [x as f64, y as f64];
+            let point = view.is_on_object(pixel).then(|| view.point(pixel))?;
             votes.clear();
             for (k, (other, motion)) in views.iter().zip(&other_from_own).enumerate() {
                 votes.extend(match k == own {
-                    true => Some([here[0] + flow[0], here[1] + flow[1]]).filter(|v| v.iter().all(|v| v.is_finite())),
+                    true => Some(view.target(pixel)).filter(|vote| vote.iter().all(|v| v.is_finite())),
                     false => other.vote(&(motion * Point3::from(point)).coords, diameter_m),
                 });
             }
-            let (mean, sigma) = spread(&votes);
+            let (mean_px, sigma_px) = spread(&votes);
             let agreed = votes.len() >= min_views && !votes.is_empty();
-            let target = match rule.label {
-                Label::TeacherFlow => [here[0] + flow[0], here[1] + flow[1]],
-                Label::MeanVote => mean,
-            };
-            let limit = size_px as f64 - 0.5;
-            let inside = target.iter().all(|v| (-0.5..limit).contains(v));
-            let good = rule.accept_all || (agreed && sigma < rule.tau_px);
-            let label = (inside && good).then(|| [(target[0] - here[0]) as f32, (target[1] - here[1]) as f32]);
-            *out = (if agreed { sigma as f32 } else { f32::NAN }, label);
-        }
-        out
+            Some(Agreement { point_in_object: object_from_own * Point3::from(point), mean_px, sigma_px, agreed })
+        };
+        (0..size_px).map(&mut pixel).collect::<Vec<_>>()
     };
-    let pixels: Vec<(f32, Option<[f32; 2]>)> = (0..size_px).into_par_iter().flat_map_iter(row).collect();
+    (0..size_px).into_par_iter().flat_map_iter(row).collect()
+}
+
+/// The labels of a view. `motion` is what the votes of all views come from, as far as it was asked for and found.
+fn labels_of(view: &View<'_>, votes: &[Option<Agreement>], rule: &Rule, motion: Option<&Pose>) -> Labels {
+    let limit = view.size_px as f64 - 0.5;
+    let label = |(pixel, votes): (usize, &Option<Agreement>)| {
+        let Some(votes) = votes else { return (f32::NAN, None) };
+        let around_mean = |target| Some((target, votes.sigma_px));
+        let target = match rule.label {
+            Label::TeacherFlow => around_mean(view.target(pixel)),
+            Label::MeanVote => around_mean(votes.mean_px),
+            Label::Rigid => motion.and_then(|pose| rigid::target(view, votes, pose)),
+        };
+        let sigma_px = target.map_or(votes.sigma_px, |(_, sigma_px)| sigma_px);
+        let good = rule.accept_all || (votes.agreed && sigma_px < rule.tau_px);
+        let here = view.here(pixel);
+        let label = target
+            .filter(|(target, _)| good && target.iter().all(|v| (-0.5..limit).contains(v)))
+            .map(|(target, _)| [(target[0] - here[0]) as f32, (target[1] - here[1]) as f32]);
+        (if votes.agreed { sigma_px as f32 } else { f32::NAN }, label)
+    };
+    let pixels: Vec<(f32, Option<[f32; 2]>)> = votes.par_iter().enumerate().map(label).collect();
     Labels {
         sigma_px: pixels.iter().map(|(sigma, _)| *sigma).collect(),
         valid: pixels.iter().map(|(_, label)| if label.is_some() { 255 } else { 0 }).collect(),

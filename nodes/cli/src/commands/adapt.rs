@@ -58,9 +58,10 @@ pub(crate) struct Args {
     /// Renders the views around the initial poses as they are, instead of those that the teacher finds from them.
     #[arg(long)]
     single_look: bool,
-    /// Labels each view with the teacher's flow in it (paper, eq. 5) instead of the mean of all views' votes.
-    #[arg(long)]
-    own_flow: bool,
+    /// What a label is: the teacher's flow in each view (`teacher_flow`; paper, eq. 5), the mean of all views' votes, or
+    /// where the one motion that explains most votes takes the pixel.
+    #[arg(long, default_value = "mean_vote", value_parser = LABELS)]
+    label: String,
     /// nano, small or paper.
     #[arg(long, default_value = "nano")]
     network: String,
@@ -102,6 +103,9 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
+
+/// The labels of [`pseudoflow_consistency::Label`], as in a graph file.
+const LABELS: [&str; 3] = ["teacher_flow", "mean_vote", "rigid"];
 
 /// Where nano's labels agree with the true flow (tables in the README).
 const LABEL_PX: u32 = 256;

@@ -8,6 +8,7 @@ use pseudoflow_player::PlayerNode;
 use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
+use serde_json::json;
 use std::path::{Path, PathBuf};
 
 const TAUS_AT_256: [f32; 6] = [0.5, 1.0, 1.5, 2.0, 4.0, 8.0];
@@ -33,9 +34,9 @@ pub(crate) struct Args {
     /// Fewest views that must see a point.
     #[arg(long, default_value_t = 3)]
     min_views: usize,
-    /// Takes the mean of the views' votes for a label instead of each view's own flow.
-    #[arg(long)]
-    mean_vote: bool,
+    /// What a label is: `teacher_flow`, `mean_vote` or `rigid`, as for `pseudoflow adapt`.
+    #[arg(long, default_value = "teacher_flow")]
+    label: String,
     /// Looks twice: the views are rendered around the pose that the teacher finds from the initial one.
     #[arg(long)]
     refine_first: bool,
@@ -82,7 +83,7 @@ impl Nodes {
         let labels = ConsistencyConfig {
             tau_px_at_256: 64.0,
             min_views: args.min_views,
-            label: if args.mean_vote { Label::MeanVote } else { Label::TeacherFlow },
+            label: serde_json::from_value::<Label>(json!(args.label))?,
             ..ConsistencyConfig::default()
         };
         let first_look = match args.refine_first {

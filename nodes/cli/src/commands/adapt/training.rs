@@ -61,7 +61,7 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
         ("flow.size_px", json!(args.label_px())),
         ("flow.lockstep", lockstep),
         ("consistency.tau_px_at_256", json!(args.tau)),
-        ("consistency.label", json!(if args.own_flow { "teacher_flow" } else { "mean_vote" })),
+        ("consistency.label", json!(args.label)),
         ("consistency.accept_all", json!(args.accept_all_labels)),
         ("consistency.picture_every", json!((samples / PICTURES).max(1))),
         ("consistency.pictures", json!(folder.join(LABELS))),
