@@ -67,9 +67,10 @@ fn the_most_similar_view_is_near_the_true_pose() {
     }
     turns_deg.sort_by(f64::total_cmp);
     away_m.sort_by(f64::total_cmp);
-    // The views are 20 to 30 degrees apart, the last step between them is 7; at 0.9 m 5 cm are 6 % of the size.
-    assert!(turns_deg[4] < 12.0, "{turns_deg:?}");
-    assert!(away_m[4] < 0.05, "{away_m:?}");
+    // The rendered views are 20 to 30 degrees apart, the last steps between them 2.5. Of the nine, a median of 5 degrees and 1.2 cm
+    // was seen, at a place that is up to 8 % too small or too large: at 0.9 m up to 7 cm of depth.
+    assert!(turns_deg[4] < 8.0, "{turns_deg:?}");
+    assert!(away_m[4] < 0.02, "{away_m:?}");
 }
 
 #[test]
