@@ -75,9 +75,13 @@ pub(crate) struct Args {
     /// Peak of the one-cycle learning rate; the paper's 4e-4 wants its hundreds of thousands of steps.
     #[arg(long, default_value_t = 3e-5)]
     max_lr: f64,
-    /// Share of the old teacher in the new one after a step.
-    #[arg(long, default_value_t = 0.99)]
-    ema: f64,
+    /// Share of the old teacher in the new one after a step. [default: its memory is a twentieth of the training, and 0.999,
+    /// the paper's, at most]
+    #[arg(long)]
+    ema: Option<f64>,
+    /// Keeps the teacher of every n-th step, in the folder `teachers` of the training.
+    #[arg(long)]
+    keep_every: Option<u64>,
     /// Uses this many frames of the recordings only.
     #[arg(long)]
     budget_frames: Option<u64>,

@@ -1,9 +1,13 @@
 //! Colour changes of the crop that the student sees (method.md, "Student augmentation"): colour only, so that the
-//! teacher's flow stays its label.
+//! teacher's flow stays its label. Blur and noise are the paper's for a crop of 256 px; a smaller one has them as if it had
+//! been made smaller afterwards.
 
 use pseudoflow_geometry::standard_normal;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
+
+/// Width and height of the paper's crops.
+const PAPER_PX: usize = 256;
 
 /// One drawn change.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,17 +16,20 @@ struct Change {
     saturation: f32,
     value: f32,
     noise: f32,
-    blur_px: usize,
+    /// Half of the blur's side, without its centre.
+    reach_px: usize,
 }
 
 impl Change {
-    fn draw(rng: &mut ChaCha8Rng) -> Self {
+    /// For a crop of this size.
+    fn draw(size_px: usize, rng: &mut ChaCha8Rng) -> Self {
+        let scale = (size_px as f32 / PAPER_PX as f32).min(1.0);
         Self {
             hue: rng.random_range(0.8..1.2),
             saturation: rng.random_range(0.5..1.5),
             value: rng.random_range(0.5..1.5),
-            noise: rng.random_range(0.0..0.1),
-            blur_px: [1, 3, 5][rng.random_range(0..3)],
+            noise: scale * rng.random_range(0.0..0.1),
+            reach_px: (scale * rng.random_range(0..3) as f32).round() as usize,
         }
     }
 }
@@ -41,7 +48,7 @@ pub(super) fn grey(rgb: &[u8]) -> Vec<f32> {
 
 /// The image as the student sees it: changed in hue, saturation and value, blurred, with noise; planes in [-1, 1].
 pub(super) fn augmented(rgb: &[u8], size_px: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    let change = Change::draw(rng);
+    let change = Change::draw(size_px, rng);
     let area = size_px * size_px;
     let mut out = vec![0.0; 3 * area];
     for (pixel, colour) in rgb.chunks_exact(3).enumerate() {
@@ -52,7 +59,7 @@ pub(super) fn augmented(rgb: &[u8], size_px: usize, rng: &mut ChaCha8Rng) -> Vec
             out[channel * area + pixel] = value;
         }
     }
-    out.chunks_exact_mut(area).for_each(|plane| blur(plane, size_px, change.blur_px));
+    out.chunks_exact_mut(area).for_each(|plane| blur(plane, size_px, change.reach_px));
     for value in &mut out {
         let noisy = *value + change.noise * standard_normal(rng) as f32;
         *value = 2.0 * noisy.clamp(0.0, 1.0) - 1.0;
@@ -85,12 +92,12 @@ fn rgb_of([h, s, v]: [f32; 3]) -> [f32; 3] {
     [channel(5.0), channel(3.0), channel(1.0)]
 }
 
-/// A box of `side_px` pixels, the image continued at its border.
-fn blur(plane: &mut [f32], size_px: usize, side_px: usize) {
-    let reach = side_px / 2;
+/// A box of `reach` pixels around each, the image continued at its border.
+fn blur(plane: &mut [f32], size_px: usize, reach: usize) {
     if reach == 0 {
         return;
     }
+    let side_px = 2 * reach + 1;
     let mut line = vec![0.0; size_px];
     for (stride, other) in [(1, size_px), (size_px, 1)] {
         for start in (0..size_px).map(|i| i * other) {
@@ -120,14 +127,27 @@ mod tests {
     #[test]
     fn a_blur_keeps_a_constant_and_spreads_a_point() {
         let mut constant = vec![0.25; 49];
-        blur(&mut constant, 7, 5);
+        blur(&mut constant, 7, 2);
         assert!(constant.iter().all(|v| (v - 0.25).abs() < 1e-6));
         let mut point = vec![0.0; 49];
         point[24] = 9.0;
-        blur(&mut point, 7, 3);
+        blur(&mut point, 7, 1);
         let ones: Vec<usize> = (0..49).filter(|i| (point[*i] - 1.0).abs() < 1e-5).collect();
         assert_eq!(ones, [16, 17, 18, 23, 24, 25, 30, 31, 32]);
         assert!((point.iter().sum::<f32>() - 9.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn small_crops_are_blurred_less() {
+        let reaches = |size_px| -> Vec<usize> {
+            let mut rng = ChaCha8Rng::seed_from_u64(5);
+            (0..60).map(|_| Change::draw(size_px, &mut rng).reach_px).collect()
+        };
+        let (paper, half) = (reaches(256), reaches(128));
+        assert!((0..3).all(|reach| paper.contains(&reach)));
+        // 1, 3 and 5 pixels of 256 are half as many of 128, whole pixels on either side.
+        assert!(paper.iter().zip(half).all(|(paper, half)| half == paper.div_ceil(2)));
+        assert_eq!(paper, reaches(512), "the paper's are the strongest");
     }
 
     #[test]

@@ -37,12 +37,16 @@ pub struct TrainerConfig {
     /// than so many steps.
     #[serde(default = "default_checkpoint")]
     pub checkpoint_every: u64,
+    /// Steps between two teachers that are kept, in the folder `teachers`; none by default.
+    #[serde(default)]
+    pub keep_every: Option<u64>,
     /// Peak of the one-cycle learning rate; 4e-4 in the paper, for 16 instances a step.
     #[serde(default = "default_max_lr")]
     pub max_lr: f64,
-    /// Share of the old teacher in the new one; 0.999 in the paper, for far longer trainings.
-    #[serde(default = "default_ema")]
-    pub ema_alpha: f64,
+    /// Share of the old teacher in the new one. By default the teacher's memory, 1 / (1 - alpha) steps, is a twentieth of the
+    /// training, and at most the paper's (0.999): a longer one would still hold what the training began with.
+    #[serde(default)]
+    pub ema_alpha: Option<f64>,
     /// Iterations of the student in training; the network's own by default.
     #[serde(default)]
     pub train_iterations: Option<usize>,
@@ -84,10 +88,6 @@ fn default_max_lr() -> f64 {
     1e-4
 }
 
-fn default_ema() -> f64 {
-    0.99
-}
-
 fn one() -> f64 {
     1.0
 }
@@ -115,8 +115,9 @@ impl TrainerConfig {
             frames_per_step: default_frames(),
             publish_every: default_publish(),
             checkpoint_every: default_checkpoint(),
+            keep_every: None,
             max_lr: default_max_lr(),
-            ema_alpha: default_ema(),
+            ema_alpha: None,
             train_iterations: None,
             iterations: None,
             flow_weight: one(),
@@ -146,8 +147,9 @@ impl TrainerConfig {
             ("frames_per_step", self.frames_per_step > 0, "at least 1"),
             ("publish_every", self.publish_every > 0, "at least 1"),
             ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
+            ("keep_every", self.keep_every != Some(0), "at least 1"),
             ("max_lr", self.max_lr > 0.0 && self.max_lr < 1.0, "a rate in 0..1"),
-            ("ema_alpha", (0.0..1.0).contains(&self.ema_alpha), "0 <= alpha < 1"),
+            ("ema_alpha", self.ema_alpha.is_none_or(|alpha| (0.0..1.0).contains(&alpha)), "0 <= alpha < 1"),
             ("train_iterations", self.train_iterations.is_none_or(iterations), "1..=64"),
             ("iterations", self.iterations.is_none_or(iterations), "1..=64"),
             ("flow_weight", self.flow_weight >= 0.0, "at least 0"),
@@ -158,6 +160,12 @@ impl TrainerConfig {
             Some((field, _, wanted)) => Err(TrainerError::Config { field: field.into(), wanted }),
             None => Ok(()),
         }
+    }
+
+    /// Share of the old teacher in the new one.
+    #[must_use]
+    pub fn ema_alpha(&self) -> f64 {
+        self.ema_alpha.unwrap_or_else(|| (1.0 - 20.0 / self.steps as f64).clamp(0.0, 0.999))
     }
 
     /// How many times smaller the student's crops are than the teacher's.

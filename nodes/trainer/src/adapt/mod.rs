@@ -29,6 +29,8 @@ pub mod files {
     pub const CHECKPOINT: &str = "checkpoint.safetensors";
     /// The teacher after the last step: what the training made.
     pub const TEACHER: &str = "teacher.safetensors";
+    /// Folder of the teachers that are kept, each named by its steps.
+    pub const TEACHERS: &str = "teachers";
     /// The student after the last step.
     pub const STUDENT: &str = "student.safetensors";
     /// One line a step.

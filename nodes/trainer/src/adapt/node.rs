@@ -110,6 +110,16 @@ impl TrainerNode {
         Ok(self.state.student().save(&self.path(files::STUDENT))?)
     }
 
+    /// The teacher of a step, to look at later. Before the checkpoint, as the result.
+    fn keep_teacher(&self, step: u64) -> Result<(), TrainerError> {
+        if !self.config.keep_every.is_some_and(|every| step.is_multiple_of(every)) {
+            return Ok(());
+        }
+        let folder = self.path(files::TEACHERS);
+        std::fs::create_dir_all(&folder).map_err(TrainerError::io(&folder))?;
+        Ok(self.state.teacher().save(&folder.join(format!("{step:06}.safetensors")))?)
+    }
+
     fn step(&mut self, key: FrameKey, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
         let batch = std::mem::take(&mut self.batch);
         let labels = batch.stats(self.state.step(), self.config.publish_every);
@@ -122,6 +132,7 @@ impl TrainerNode {
             let onnx = self.onnx(self.state.publications()[0])?;
             self.published = [onnx, std::mem::take(&mut self.published[0])];
         }
+        self.keep_teacher(result.step)?;
         let ends = result.step == self.config.steps;
         if ends {
             self.save_result()?;

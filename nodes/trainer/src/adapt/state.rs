@@ -134,7 +134,7 @@ impl AdaptState {
             });
         }
         let result = self.student_step(samples, config)?;
-        self.teacher.average_with(&self.student.weights, config.ema_alpha as f32);
+        self.teacher.average_with(&self.student.weights, config.ema_alpha() as f32);
         self.teacher.info = self.student.weights.info.clone();
         Ok(result)
     }

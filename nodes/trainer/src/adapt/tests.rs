@@ -204,7 +204,7 @@ fn a_step_without_usable_labels_counts_and_changes_nothing() {
 #[test]
 fn the_loss_falls_and_the_teacher_follows_its_student() {
     let folder = tempfile::tempdir().unwrap();
-    let config = TrainerConfig { augment: false, ema_alpha: 0.5, ..config(folder.path(), 14) };
+    let config = TrainerConfig { augment: false, ema_alpha: Some(0.5), ..config(folder.path(), 14) };
     let mut node = open(&config);
     feed(&mut node, 0..28);
     let log = String::from_utf8(bytes(&config, files::LOG)).unwrap();
@@ -229,7 +229,7 @@ fn frames_out_of_turn_and_bad_settings_are_refused() {
     let mut node = open(&config);
     let error = node.process(&inputs(1, true), &mut InMemory::default(), &context()).unwrap_err().to_string();
     assert!(error.contains("frame 1"), "{error}");
-    let error = TrainerNode::check(&TrainerConfig { ema_alpha: 1.0, ..config.clone() }).unwrap_err().to_string();
+    let error = TrainerNode::check(&TrainerConfig { ema_alpha: Some(1.0), ..config.clone() }).unwrap_err().to_string();
     assert!(error.contains("ema_alpha"), "{error}");
     let error =
         TrainerNode::check(&TrainerConfig { weights: "nowhere".into(), ..config.clone() }).unwrap_err().to_string();

@@ -43,9 +43,9 @@ pub(crate) struct Args {
     /// Peak of the one-cycle learning rate.
     #[arg(long, default_value_t = 1e-4)]
     max_lr: f64,
-    /// Share of the old teacher in the new one after a step.
-    #[arg(long, default_value_t = 0.99)]
-    ema: f64,
+    /// Share of the old teacher in the new one after a step. [default: as in `pseudoflow adapt`]
+    #[arg(long)]
+    ema: Option<f64>,
     /// Every n-th frame is left out, as `pseudoflow adapt` does.
     #[arg(long, default_value_t = 5)]
     held_out_every: u64,

@@ -75,6 +75,7 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
         ("trainer.publish_every", json!(PUBLISH_EVERY)),
         ("trainer.max_lr", json!(args.max_lr)),
         ("trainer.ema_alpha", json!(args.ema)),
+        ("trainer.keep_every", json!(args.keep_every)),
         ("trainer.flow_weight", json!(args.flow_weight)),
         ("trainer.photo_weight", json!(args.photo_weight)),
         ("trainer.out", json!(folder)),
