@@ -82,7 +82,7 @@ fn messages(sizes: &Sizes) -> [AlignedBytes; 3] {
 
 fn samples(sizes: &Sizes, [views, flow, labels]: &[AlignedBytes; 3]) -> Result<Vec<Sample>, Failure> {
     let (views, flow, labels) = (ReferenceViews::view(views)?, FlowFields::view(flow)?, PseudoLabels::view(labels)?);
-    let of = |i: usize| Sample::of(&views, &flow, &labels, i, 1, Some(&mut ChaCha8Rng::seed_from_u64(i as u64)));
+    let of = |i: usize| Sample::of(&views, &flow, &labels, i, 1, Some(ChaCha8Rng::seed_from_u64(i as u64)));
     Ok((0..sizes.instances).map(of).collect())
 }
 
@@ -118,7 +118,7 @@ fn main() -> Result<(), Failure> {
     let without_photo = TrainerConfig { photo_weight: 0.0, ..config.clone() };
 
     let messages = messages(&sizes);
-    let batch = samples(&sizes, &messages)?;
+    let mut batch = samples(&sizes, &messages)?;
     let n = sizes.instances * sizes.views;
     let all = |part: fn(&Sample) -> &[f32]| batch.iter().flat_map(part).copied().collect::<Vec<f32>>();
     let (reference, flow, mask) = (all(|s| &s.reference), all(|s| &s.flow_px), all(|s| &s.mask));
@@ -136,8 +136,8 @@ fn main() -> Result<(), Failure> {
     let [mut a, mut b, mut c, mut d] = names.map(|name| Times(name, Vec::new()));
     for _ in 0..=sizes.rounds {
         a.add(|| supervised.train_step(&pairs))?;
-        b.add(|| own.train(&batch, &config))?;
-        c.add(|| plain.train(&batch, &without_photo))?;
+        b.add(|| own.train(&mut batch, &config))?;
+        c.add(|| plain.train(&mut batch, &without_photo))?;
         d.add(|| samples(&sizes, &messages))?;
     }
     let Sizes { network, size_px, instances, views, partners, rounds } = &sizes;

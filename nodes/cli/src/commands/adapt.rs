@@ -37,6 +37,9 @@ pub(crate) struct Args {
     /// Instances in a step.
     #[arg(long, default_value_t = 4)]
     batch: u64,
+    /// Updates of the student with the labels of a step, each with other colours.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=64))]
+    repeats: u64,
     /// Rendered views of each instance.
     #[arg(long, default_value_t = 4)]
     views: u32,
@@ -172,7 +175,7 @@ fn check(args: &Args) -> Result<()> {
 /// Runs the graph; `None` when it was asked to stop before the last step.
 fn train(args: &Args, folder: &Path) -> Result<Option<PathBuf>> {
     let trained = folder.join(training::TEACHER);
-    let first_step = training::steps_taken(folder)?;
+    let first_step = training::steps_taken(folder, args.repeats)?;
     if first_step < args.steps {
         let graph = training::graph(args, folder, first_step)?;
         let options = supervisor::Options { print: false, ..supervisor::Options::new(&folder.join("run")) };

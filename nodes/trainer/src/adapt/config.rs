@@ -30,6 +30,9 @@ pub struct TrainerConfig {
     /// Frames of a step.
     #[serde(default = "default_frames")]
     pub frames_per_step: u64,
+    /// Updates of the student in a step, each with other colours: labels cost more than the student's look at them.
+    #[serde(default = "once")]
+    pub repeats: u64,
     /// Steps between two publications of the teacher; the flow node's `lockstep.publish_every`.
     #[serde(default = "default_publish")]
     pub publish_every: u64,
@@ -43,7 +46,7 @@ pub struct TrainerConfig {
     /// Peak of the one-cycle learning rate; 4e-4 in the paper, for 16 instances a step.
     #[serde(default = "default_max_lr")]
     pub max_lr: f64,
-    /// Share of the old teacher in the new one. By default the teacher's memory, 1 / (1 - alpha) steps, is a twentieth of the
+    /// Share of the old teacher in the new one. By default the teacher's memory, 1 / (1 - alpha) updates, is a twentieth of the
     /// training, and at most the paper's (0.999): a longer one would still hold what the training began with.
     #[serde(default)]
     pub ema_alpha: Option<f64>,
@@ -74,6 +77,10 @@ fn default_size_px() -> u32 {
 
 fn default_frames() -> u64 {
     4
+}
+
+fn once() -> u64 {
+    1
 }
 
 fn default_publish() -> u64 {
@@ -113,6 +120,7 @@ impl TrainerConfig {
             steps,
             first_step: 0,
             frames_per_step: default_frames(),
+            repeats: once(),
             publish_every: default_publish(),
             checkpoint_every: default_checkpoint(),
             keep_every: None,
@@ -145,6 +153,7 @@ impl TrainerConfig {
             ),
             ("steps", self.steps > 0 && self.first_step < self.steps, "more than `first_step`"),
             ("frames_per_step", self.frames_per_step > 0, "at least 1"),
+            ("repeats", (1..=64).contains(&self.repeats), "1..=64"),
             ("publish_every", self.publish_every > 0, "at least 1"),
             ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
             ("keep_every", self.keep_every != Some(0), "at least 1"),
@@ -162,10 +171,16 @@ impl TrainerConfig {
         }
     }
 
+    /// Updates of the student in the whole training.
+    #[must_use]
+    pub fn updates(&self) -> u64 {
+        self.steps * self.repeats
+    }
+
     /// Share of the old teacher in the new one.
     #[must_use]
     pub fn ema_alpha(&self) -> f64 {
-        self.ema_alpha.unwrap_or_else(|| (1.0 - 20.0 / self.steps as f64).clamp(0.0, 0.999))
+        self.ema_alpha.unwrap_or_else(|| (1.0 - 20.0 / self.updates() as f64).clamp(0.0, 0.999))
     }
 
     /// How many times smaller the student's crops are than the teacher's.

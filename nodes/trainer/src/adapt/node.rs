@@ -91,9 +91,8 @@ impl TrainerNode {
         let place = self.place_of(inputs.key().index);
         for (instance, info) in labels.info.iter().enumerate() {
             if info.usable == 1 {
-                let mut rng = context.rng(place, &format!("augment {instance}"));
-                let augment = self.config.augment.then_some(&mut rng);
-                self.batch.samples.push(Sample::of(&views, &flow, &labels, instance, self.config.shrink(), augment));
+                let colours = self.config.augment.then(|| context.rng(place, &format!("augment {instance}")));
+                self.batch.samples.push(Sample::of(&views, &flow, &labels, instance, self.config.shrink(), colours));
             }
             self.batch.labels.push(*info);
         }
@@ -121,9 +120,9 @@ impl TrainerNode {
     }
 
     fn step(&mut self, key: FrameKey, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
-        let batch = std::mem::take(&mut self.batch);
+        let mut batch = std::mem::take(&mut self.batch);
         let labels = batch.stats(self.state.step(), self.config.publish_every);
-        let result = self.state.train(&batch.samples, &self.config)?;
+        let result = self.state.train(&mut batch.samples, &self.config)?;
         let seconds = std::mem::replace(&mut self.started, Instant::now()).elapsed().as_secs_f64();
         self.log.add(&result, &labels, seconds)?;
         let publishes = result.step.is_multiple_of(self.config.publish_every);

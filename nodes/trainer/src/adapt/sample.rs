@@ -8,8 +8,10 @@ use rand_chacha::ChaCha8Rng;
 pub struct Sample {
     /// Rendered views in [-1, 1]: `n x 3 x S x S`.
     pub reference: Vec<f32>,
-    /// The real crop as the student sees it, in [-1, 1]: `3 x S x S`.
-    pub real: Vec<f32>,
+    /// The real crop: `S x S x 3`.
+    pub real_rgb: Vec<u8>,
+    /// Draws the colours that the student sees; none: it sees the crop as it is.
+    pub colours: Option<ChaCha8Rng>,
     /// Labels of the views, pixels: `n x 2 x S x S`; ignored where the mask is 0.
     pub flow_px: Vec<f32>,
     /// 1 where a label counts: `n x S x S`.
@@ -40,7 +42,7 @@ fn flow_planes(interleaved: &[f32], area: usize) -> Vec<f32> {
 }
 
 impl Sample {
-    /// The sample of an instance, `by` times smaller than the teacher's crops; `augment` draws the student's colours,
+    /// The sample of an instance, `by` times smaller than the teacher's crops; `colours` draws the student's colours,
     /// without it the student sees the crop as it is.
     #[must_use]
     pub fn of(
@@ -49,7 +51,7 @@ impl Sample {
         labels: &PseudoLabels<'_>,
         instance: usize,
         by: usize,
-        augment: Option<&mut ChaCha8Rng>,
+        colours: Option<ChaCha8Rng>,
     ) -> Self {
         let (n, size_px) = (views.header.views_per_instance as usize, views.header.size_px as usize);
         let area = size_px * size_px;
@@ -62,7 +64,8 @@ impl Sample {
         let flow_px: Vec<f32> = fields.zip(masks.clone()).flat_map(label).collect();
         Self {
             reference: views.rgb[of_views(3 * area)].chunks_exact(3 * area).flat_map(small).collect(),
-            real: augment.map_or_else(|| planes(&real_rgb), |rng| augmented(&real_rgb, size_px / by, rng)),
+            real_rgb,
+            colours,
             flow_px: flow_planes(&flow_px, area / (by * by)),
             mask: masks.flat_map(|m| shrink::mask(m, size_px, by)).map(|v| f32::from(u8::from(v != 0))).collect(),
             photo: photo(views, flow, labels, instance, by),
@@ -72,7 +75,16 @@ impl Sample {
     /// Rendered views.
     #[must_use]
     pub fn views(&self) -> usize {
-        self.mask.len() * 3 / self.real.len()
+        self.mask.len() * 3 / self.real_rgb.len()
+    }
+
+    /// The real crop as the student sees it this time, in [-1, 1]: `3 x S x S`.
+    pub(super) fn real(&mut self) -> Vec<f32> {
+        let size_px = (self.real_rgb.len() / 3).isqrt();
+        match &mut self.colours {
+            Some(rng) => augmented(&self.real_rgb, size_px, rng),
+            None => planes(&self.real_rgb),
+        }
     }
 }
 

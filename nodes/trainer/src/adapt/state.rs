@@ -17,9 +17,11 @@ pub struct AdaptState {
     /// The last publication, and the one before it.
     published: Weights,
     before: Weights,
+    /// Updates in a step.
+    repeats: u64,
 }
 
-/// What a step did.
+/// What a step did: its first update, which sees the labels before it learned them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepResult {
     /// Steps taken, this one included.
@@ -36,12 +38,12 @@ pub struct StepResult {
     pub learning_rate: f64,
 }
 
-/// Steps that the checkpoint of a training has behind it.
+/// Steps of `repeats` updates that the checkpoint of a training has behind it.
 ///
 /// # Errors
 /// The file cannot be read or is no checkpoint.
-pub fn steps_taken(checkpoint: &Path) -> Result<u64, TrainerError> {
-    Ok(Weights::read_info(checkpoint)?.step)
+pub fn steps_taken(checkpoint: &Path, repeats: u64) -> Result<u64, TrainerError> {
+    Ok(Weights::read_info(checkpoint)?.step / repeats)
 }
 
 impl AdaptState {
@@ -52,10 +54,10 @@ impl AdaptState {
     pub fn new(config: &TrainerConfig) -> Result<Self, TrainerError> {
         let network = config.resolve_network()?;
         let weights = Weights::load(&config.weights, &network)?;
-        let training = TrainConfig::new(config.max_lr, config.steps);
+        let training = TrainConfig::new(config.max_lr, config.updates());
         let student = TrainState::new(network, training, weights, &Device::flex())?;
         let teacher = student.weights.clone();
-        Ok(Self { published: teacher.clone(), before: teacher.clone(), teacher, student })
+        Ok(Self { published: teacher.clone(), before: teacher.clone(), teacher, student, repeats: config.repeats })
     }
 
     /// Reads a checkpoint.
@@ -65,7 +67,7 @@ impl AdaptState {
     pub fn load(path: &Path, config: &TrainerConfig) -> Result<Self, TrainerError> {
         let names = [TEACHER, PUBLISHED, BEFORE];
         let (student, mut others) = TrainState::load_with(path, config.resolve_network()?, &Device::flex(), &names)?;
-        let wanted = TrainConfig::new(config.max_lr, config.steps);
+        let wanted = TrainConfig::new(config.max_lr, config.updates());
         if student.config != wanted {
             return Err(TrainerError::OtherRun {
                 path: path.to_owned(),
@@ -74,7 +76,7 @@ impl AdaptState {
             });
         }
         let mut take = || others.remove(0);
-        Ok(Self { teacher: take(), published: take(), before: take(), student })
+        Ok(Self { teacher: take(), published: take(), before: take(), student, repeats: config.repeats })
     }
 
     /// Writes a checkpoint, whole or not at all.
@@ -89,7 +91,7 @@ impl AdaptState {
     /// Steps taken.
     #[must_use]
     pub fn step(&self) -> u64 {
-        self.student.step()
+        self.student.step() / self.repeats
     }
 
     /// The teacher.
@@ -115,14 +117,15 @@ impl AdaptState {
         self.before = std::mem::replace(&mut self.published, self.teacher.clone());
     }
 
-    /// One step of the student on samples, then of the teacher. Without samples both stay, and the step counts (its
-    /// result has NaN losses).
+    /// One step on samples: updates of the student, each followed by one of the teacher. Without samples both stay, and the
+    /// step counts (its result has NaN losses).
     ///
     /// # Errors
     /// Loss or gradient are not finite: the weights then stay as they were.
-    pub fn train(&mut self, samples: &[Sample], config: &TrainerConfig) -> Result<StepResult, TrainerError> {
+    pub fn train(&mut self, samples: &mut [Sample], config: &TrainerConfig) -> Result<StepResult, TrainerError> {
         if samples.is_empty() {
             let learning_rate = self.student.skip_step();
+            (1..self.repeats).for_each(|_| _ = self.student.skip_step());
             let step = self.step();
             return Ok(StepResult {
                 step,
@@ -133,13 +136,21 @@ impl AdaptState {
                 learning_rate,
             });
         }
+        let first = self.update(samples, config)?;
+        for _ in 1..self.repeats {
+            self.update(samples, config)?;
+        }
+        Ok(StepResult { step: self.step(), ..first })
+    }
+
+    fn update(&mut self, samples: &mut [Sample], config: &TrainerConfig) -> Result<StepResult, TrainerError> {
         let result = self.student_step(samples, config)?;
         self.teacher.average_with(&self.student.weights, config.ema_alpha() as f32);
         self.teacher.info = self.student.weights.info.clone();
         Ok(result)
     }
 
-    fn student_step(&mut self, samples: &[Sample], config: &TrainerConfig) -> Result<StepResult, TrainerError> {
+    fn student_step(&mut self, samples: &mut [Sample], config: &TrainerConfig) -> Result<StepResult, TrainerError> {
         let size_px = config.size_px as usize / config.shrink();
         let pairs = Pairs::of(samples);
         let mut loss_photo = f32::NAN;
@@ -179,11 +190,13 @@ struct Pairs {
 }
 
 impl Pairs {
-    fn of(samples: &[Sample]) -> Self {
+    /// Draws the colours of the real crops.
+    fn of(samples: &mut [Sample]) -> Self {
+        let real = samples.iter_mut().flat_map(|s| s.real().repeat(s.views())).collect();
         let all = |part: fn(&Sample) -> &[f32]| samples.iter().flat_map(part).copied().collect();
         Self {
             reference: all(|s| &s.reference),
-            real: samples.iter().flat_map(|s| s.real.repeat(s.views())).collect(),
+            real,
             flow: all(|s| &s.flow_px),
             mask: all(|s| &s.mask),
             n: samples.iter().map(Sample::views).sum(),

@@ -160,7 +160,7 @@ fn a_resumed_run_begins_with_frame_0_and_has_the_same_bits() {
     let (whole, part) = (config(one.path(), 4), config(two.path(), 4));
     feed(&mut open(&whole), 0..8);
     feed(&mut open(&part), 0..5);
-    assert_eq!(super::steps_taken(&part.out.join(files::CHECKPOINT)).unwrap(), 2);
+    assert_eq!(super::steps_taken(&part.out.join(files::CHECKPOINT), 1).unwrap(), 2);
     let resumed = TrainerConfig { first_step: 2, ..part.clone() };
     let mut node = open(&resumed);
     // The player sends what it would have sent: samples 4 to 7, as frames 0 to 3.
@@ -170,6 +170,36 @@ fn a_resumed_run_begins_with_frame_0_and_has_the_same_bits() {
         node.process(&again, &mut InMemory::default(), &context()).unwrap();
     }
     assert!(bytes(&whole, files::TEACHER) == bytes(&part, files::TEACHER));
+}
+
+#[test]
+fn a_step_may_hold_several_updates_and_the_same_bits_across_a_crash() {
+    let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let thrice = |folder: &Path| TrainerConfig { repeats: 3, ..config(folder, 2) };
+    let (whole, broken) = (thrice(one.path()), thrice(two.path()));
+    feed(&mut open(&whole), 0..4);
+    feed(&mut open(&broken), 0..3);
+    assert_eq!(super::steps_taken(&broken.out.join(files::CHECKPOINT), 3).unwrap(), 1);
+    feed(&mut open(&broken), 2..4);
+    assert!(bytes(&whole, files::TEACHER) == bytes(&broken, files::TEACHER));
+    let network = whole.resolve_network().unwrap();
+    let updates = |config: &TrainerConfig| Weights::load(&config.out.join(files::STUDENT), &network).unwrap().info.step;
+    assert_eq!(updates(&whole), 6);
+    // Steps without labels keep the count.
+    let empty = tempfile::tempdir().unwrap();
+    let config = thrice(empty.path());
+    let mut node = open(&config);
+    (0..4).for_each(|f| node.process(&inputs(f, false), &mut InMemory::default(), &context()).unwrap());
+    assert_eq!(updates(&config), 6);
+}
+
+#[test]
+fn teachers_are_kept_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = TrainerConfig { keep_every: Some(2), ..config(folder.path(), 4) };
+    feed(&mut open(&config), 0..8);
+    let kept = |step| bytes(&config, &format!("{}/{step:06}.safetensors", files::TEACHERS));
+    assert!(kept(4) == bytes(&config, files::TEACHER) && kept(2) != kept(4));
 }
 
 #[test]

@@ -30,6 +30,9 @@ pub(crate) struct Args {
     /// Instances in a step.
     #[arg(long, default_value_t = 4)]
     batch: u64,
+    /// Updates of the student with the labels of a step, each with other colours.
+    #[arg(long, default_value_t = 1)]
+    repeats: u64,
     /// Rendered views of each instance.
     #[arg(long, default_value_t = 4)]
     views: u32,
@@ -108,8 +111,8 @@ impl Samples {
         let views = ReferenceViews::view(bytes(&messages, "views")?)?;
         let Some((flow, labels)) = self.labels(&views)? else { return Ok(None) };
         let (flow, labels) = (FlowFields::view(&flow)?, PseudoLabels::view(&labels)?);
-        let mut rng = Context { name: "trainer".into(), ..context }.rng(number, "augment 0");
-        Ok(Some(Sample::of(&views, &flow, &labels, 0, self.shrink, Some(&mut rng))))
+        let colours = Context { name: "trainer".into(), ..context }.rng(number, "augment 0");
+        Ok(Some(Sample::of(&views, &flow, &labels, 0, self.shrink, Some(colours))))
     }
 
     /// Truth in the form of labels; none when nothing of the object is seen.
@@ -148,6 +151,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
         size_px: args.label_px(),
         student_px: Some(args.size),
         frames_per_step: args.batch,
+        repeats: args.repeats,
         max_lr: args.max_lr,
         ema_alpha: args.ema,
         photo_weight: 0.0,
@@ -162,7 +166,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     for step in 0..args.steps {
         let numbers = step * args.batch..(step + 1) * args.batch;
         let samples = numbers.map(|n| source.sample(n)).collect::<Result<Vec<_>, Failure>>()?;
-        let result = state.train(&samples.into_iter().flatten().collect::<Vec<_>>(), &config)?;
+        let result = state.train(&mut samples.into_iter().flatten().collect::<Vec<_>>(), &config)?;
         bar.set_message(format!("loss {:.3} EPE {:.2} px", result.loss_flow, result.epe_px));
         bar.inc(1);
         writeln!(log, "{},{},{},{}", result.step, result.loss_flow, result.epe_px, result.grad_norm)?;

@@ -17,12 +17,13 @@ const PICTURES: u64 = 12;
 const PUBLISH_EVERY: u64 = 10;
 
 /// Steps that the checkpoint in a folder has behind it; 0 without one.
-pub(super) fn steps_taken(folder: &Path) -> Result<u64> {
+pub(super) fn steps_taken(folder: &Path, repeats: u64) -> Result<u64> {
     let path = folder.join(CHECKPOINT);
     if !path.exists() {
         return Ok(0);
     }
-    pseudoflow_trainer::adapt::steps_taken(&path).with_context(|| format!("{}: cannot be resumed", path.display()))
+    pseudoflow_trainer::adapt::steps_taken(&path, repeats)
+        .with_context(|| format!("{}: cannot be resumed", path.display()))
 }
 
 /// The graph of `config/graphs/adapt.yaml` with the arguments put in.
@@ -72,6 +73,7 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
         ("trainer.steps", json!(args.steps)),
         ("trainer.first_step", json!(first_step)),
         ("trainer.frames_per_step", json!(args.batch)),
+        ("trainer.repeats", json!(args.repeats)),
         ("trainer.publish_every", json!(PUBLISH_EVERY)),
         ("trainer.max_lr", json!(args.max_lr)),
         ("trainer.ema_alpha", json!(args.ema)),
