@@ -9,6 +9,7 @@ PyYAML and Pillow. The truth is read by the evaluator node and by this script al
 
 import argparse
 import json
+import re
 import shutil
 import subprocess
 import tempfile
@@ -79,8 +80,9 @@ def run(args, scene, track, out):
     )
     if done.returncode != 0:
         raise SystemExit(done.stderr[-3000:])
-    table = [line.split() for line in (done.stdout + done.stderr).splitlines()]
-    rate = next(float(row[2]) for row in table if row and row[0] == "evaluator" and len(row) > 8)
+    # A line of the summary; the node's log begins with its name too, and goes on with a time.
+    row = re.search(r"^evaluator +\d+ +([0-9.]+) ", done.stdout + done.stderr, re.MULTILINE)
+    rate = float(row[1])
     frames = [json.loads(line) for line in (out / "poses.jsonl").read_text().splitlines() if line]
     return rate, {frame["index"]: frame for frame in frames}, json.loads((out / "report.json").read_text())
 
