@@ -1,4 +1,5 @@
-"""Tracking beside detecting every frame, on a BOP scene: frames per second (start and end of the processes counted), drift, and what happens when the camera goes black.
+"""Tracking beside detecting every frame, on a BOP scene: frames per second (start and end of the processes counted), drift, and
+what happens when the camera goes black.
 
     python3 tests/compare/tracking_vs_detection.py --scene data/tabletop/test/000001 --objects data/tabletop/models \\
         --initializer my_initializer.safetensors --flow config/weights/nano_tabletop.safetensors [--compare] [--size 128]
