@@ -1,6 +1,7 @@
 use crate::layout::{Length, MalformedMessage, Reader, Writer};
 use crate::{Message, ObjectPose};
 use bytemuck::{Pod, Zeroable};
+use std::collections::BTreeSet;
 
 /// What stands before the views.
 #[repr(C)]
@@ -132,6 +133,13 @@ impl ReferenceViews<'_> {
             .bytes()
     }
 
+    /// Objects that the views show, each instance once, whatever the number of its hypotheses.
+    #[must_use]
+    pub fn objects(&self) -> usize {
+        let instances: BTreeSet<_> = self.views.iter().map(|view| view.pose.identity()).collect();
+        instances.len()
+    }
+
     /// Writes the header and hands out the rest.
     ///
     /// # Panics
@@ -207,5 +215,17 @@ mod tests {
         assert!(read.rgb.len() == 450 && read.rgb.iter().all(|v| *v == 2));
         assert!(read.depth_m.len() == 150 && read.depth_m.iter().all(|v| *v == 3.0));
         assert!(read.mask.len() == 150 && read.mask.iter().all(|v| *v == 4));
+    }
+
+    #[test]
+    fn hypotheses_of_an_instance_count_as_one_object() {
+        let zeroed = ReferenceViewsHeader::zeroed();
+        let header = ReferenceViewsHeader { instances: 4, views_per_instance: 1, size_px: 1, ..zeroed };
+        let mut bytes = AlignedBytes::zeroed(ReferenceViews::byte_len(&header));
+        let message = ReferenceViews::write(&mut bytes, header);
+        for (view, (object_id, instance)) in message.views.iter_mut().zip([(1, 0), (1, 0), (1, 1), (2, 0)]) {
+            (view.pose.object_id, view.pose.instance) = (object_id, instance);
+        }
+        assert_eq!(ReferenceViews::view(&bytes).unwrap().objects(), 3);
     }
 }

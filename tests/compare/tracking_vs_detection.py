@@ -111,17 +111,18 @@ def drift(report):
     print(f"median ADD(-S) of the first tenth {first:.4f} diameters, of the last {last:.4f}, ratio {last / first:.2f}")
 
 
-def recovery(frames, half, black, before):
-    """Frames after the black ones until each object has a pose again, and poses given while all was black."""
+def recovery(frames, half, black):
+    """Frames after the black ones until a pose of each object is published again, and how many were while all was black."""
+    published = lambda frame: [pose["object_id"] for pose in frame["refined"] if pose["status"] == 0]
     ordered = [frames[index] for index in sorted(frames)]
     dark, after = ordered[half : half + black], ordered[half + black :]
-    known = {pose["object_id"] for frame in ordered[:half] for pose in frame["refined"]}
+    known = {number for frame in ordered[:half] for number in published(frame)}
     back = {}
     for count, frame in enumerate(after, 1):
-        for pose in frame["refined"]:
-            back.setdefault(pose["object_id"], count)
-    tail = sum(len(frame["refined"]) for frame in dark[5:])
-    print(f"black: {tail} poses asked for after the fifth black frame; found again after frames: {back}; of {sorted(known)}")
+        for number in published(frame):
+            back.setdefault(number, count)
+    tail = sum(len(published(frame)) for frame in dark)
+    print(f"{tail} poses published in {len(dark)} black frames; published again after frames: {back}; of {sorted(known)}")
 
 
 def main():
@@ -149,7 +150,7 @@ def main():
         half = scene_with_black(args.scene, dark, args.black)
         rate, frames, report = run(args, dark, True, folder / "black")
         summary("tracking, black between", rate, report)
-        recovery(frames, half, args.black, report)
+        recovery(frames, half, args.black)
 
 
 if __name__ == "__main__":

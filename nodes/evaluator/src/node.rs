@@ -46,6 +46,9 @@ struct FrameLine {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct PoseLine {
     object_id: u32,
+    /// A [`pseudoflow_msgs::PoseStatus`]: only poses with 0 are published.
+    #[serde(default)]
+    status: u32,
     score: f64,
     rotation_xyzw: [f64; 4],
     translation_m: [f64; 3],
@@ -53,8 +56,8 @@ struct PoseLine {
 
 impl From<&ObjectPose> for PoseLine {
     fn from(pose: &ObjectPose) -> Self {
-        let ObjectPose { object_id, score, rotation_xyzw, translation_m, .. } = *pose;
-        Self { object_id, score, rotation_xyzw, translation_m }
+        let ObjectPose { object_id, status, score, rotation_xyzw, translation_m, .. } = *pose;
+        Self { object_id, status, score, rotation_xyzw, translation_m }
     }
 }
 

@@ -270,6 +270,10 @@ impl Node for FlowNode {
         Ok((wanted..=wanted + 1).contains(&header.version))
     }
 
+    fn objects(inputs: &dyn Inputs) -> Option<usize> {
+        Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects())
+    }
+
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         if inputs.bytes("weights").is_some() {
             self.swap(&read::<NetworkWeights<'static>>(inputs, "weights")?, inputs.key().index)?;

@@ -253,6 +253,10 @@ impl Node for PnpNode {
         Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new() })
     }
 
+    fn objects(inputs: &dyn Inputs) -> Option<usize> {
+        Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects())
+    }
+
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let views = read::<ReferenceViews<'static>>(inputs, "views")?;
         let flow = read::<FlowFields<'static>>(inputs, "flow")?;

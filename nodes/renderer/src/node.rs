@@ -5,7 +5,8 @@ use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::raster::{Rasteriser, Rendering};
 use pseudoflow_imaging::{ObjectSet, RgbImage, resample};
 use pseudoflow_msgs::{
-    CameraFrame, ObjectPoses, PartnerFrames, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut,
+    CameraFrame, ObjectPose, ObjectPoses, PartnerFrames, ReferenceView, ReferenceViews, ReferenceViewsHeader,
+    ReferenceViewsMut,
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
@@ -152,6 +153,11 @@ impl Node for RendererNode {
         log::info!("{} renders {} objects at {} px", rasteriser.name(), objects.len(), config.size_px);
         let settings = ViewSettings { size_px: config.size_px, views: config.views, margin: config.margin };
         Ok(Self { settings, objects, rasteriser, first_frame: config.first_frame })
+    }
+
+    fn objects(inputs: &dyn Inputs) -> Option<usize> {
+        let initial = read::<ObjectPoses<'static>>(inputs, "initial_poses").ok()?;
+        Some(ObjectPose::likeliest(initial.poses).count())
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {

@@ -15,7 +15,7 @@ use std::process::{Command, ExitCode};
 const SCORES: [&str; 5] = ["add_s_recall_0.1d", "auc_add_s", "mssd_recall", "mspd_recall", "vsd_recall"];
 /// Options of adapt about how labels are made, which a supervised training has no use for.
 const LABELS_MAKING: [&str; 8] =
-    ["label_size", "partners", "tau", "photo_weight", "flow_weight", "accept_all_labels", "single_look", "label"];
+    ["partners", "tau", "photo_weight", "flow_weight", "accept_all_labels", "single_look", "label", "keep_every"];
 const WITH_TRUTH: &str = "pseudoflow-with-truth";
 
 #[derive(clap::Args)]

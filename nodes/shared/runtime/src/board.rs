@@ -10,11 +10,16 @@ use std::fs::OpenOptions;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-const MAGIC: u64 = 0x7066_626f_6172_6402;
+const MAGIC: u64 = 0x7066_626f_6172_6403;
 const HEADER_WORDS: usize = 16;
 const NODE_WORDS: usize = 640;
-const WORK: usize = 64;
+/// Frames, and ns of work in them, by their number of objects.
+const OBJECT_FRAMES: usize = 16;
+const OBJECT_NS: usize = OBJECT_FRAMES + OBJECTS;
+const WORK: usize = OBJECT_NS + OBJECTS;
 const AGE: usize = WORK + BUCKETS;
+/// Numbers of objects that are told apart; the last one stands for all above.
+pub(crate) const OBJECTS: usize = 24;
 const UNKNOWN: u64 = u64::MAX;
 
 /// Words of the header.
@@ -173,6 +178,21 @@ impl Board {
         histogram::record(&slot[AGE..AGE + BUCKETS], end_ns.saturating_sub(origin_ns));
     }
 
+    /// Counts the work of a frame with so many objects.
+    pub(crate) fn count_objects(&self, node: usize, objects: usize, work_ns: u64) {
+        let (slot, at) = (self.slot(node), objects.min(OBJECTS - 1));
+        slot[OBJECT_FRAMES + at].fetch_add(1, Ordering::AcqRel);
+        slot[OBJECT_NS + at].fetch_add(work_ns, Ordering::AcqRel);
+    }
+
+    /// Frames with so many objects, and the mean milliseconds of work in them; `None` when there were none.
+    pub(crate) fn objects(&self, node: usize, objects: usize) -> Option<(u64, f64)> {
+        let slot = self.slot(node);
+        let frames = slot[OBJECT_FRAMES + objects].load(Ordering::Acquire);
+        let ns = slot[OBJECT_NS + objects].load(Ordering::Acquire);
+        (frames > 0).then(|| (frames, ns as f64 * 1e-6 / frames as f64))
+    }
+
     /// Milliseconds spent in a frame, by share of frames.
     pub(crate) fn work_ms(&self, node: usize, share: f64) -> Option<f64> {
         histogram::quantile_ms(&self.slot(node)[WORK..AGE], share)
@@ -199,7 +219,12 @@ mod tests {
         other.set(2, Word::Acknowledged, 5);
         other.set_state(2, State::Ready);
         other.count_frame(2, 1_000_000, 3_000_000, 500_000);
+        other.count_objects(2, 3, 2_000_000);
+        other.count_objects(2, 3, 4_000_000);
+        other.count_objects(2, 1000, 5_000_000);
         drop(other);
+        assert_eq!((board.objects(2, 3), board.objects(2, OBJECTS - 1)), (Some((2, 3.0)), Some((1, 5.0))));
+        assert_eq!((board.objects(2, 2), board.objects(1, 3)), (None, None));
         assert_eq!((board.total(), board.get(2, Word::Acknowledged), board.state(2)), (Some(7), 5, State::Ready));
         assert_eq!(board.get(1, Word::Acknowledged), 0);
         assert!((1.8..2.2).contains(&board.work_ms(2, 0.5).unwrap()));

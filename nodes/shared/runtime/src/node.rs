@@ -128,6 +128,12 @@ pub trait Node: Sized {
     /// the messages that go out.
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError>;
 
+    /// How many objects a frame is about, where that decides how long it takes: a run's summary gives the node's work by it.
+    fn objects(inputs: &dyn Inputs) -> Option<usize> {
+        let _ = inputs;
+        None
+    }
+
     /// Replay sources: makes frame `index` (any index, also an earlier one again: after a consumer's death).
     ///
     /// # Errors

@@ -25,13 +25,13 @@ pub(crate) struct Args {
     #[arg(long, default_value = "nano")]
     network: String,
     /// Training steps.
-    #[arg(long, default_value_t = 600)]
+    #[arg(long, default_value_t = 100)]
     steps: u64,
     /// Instances in a step.
     #[arg(long, default_value_t = 4)]
     batch: u64,
     /// Updates of the student with the labels of a step, each with other colours.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 4)]
     repeats: u64,
     /// Rendered views of each instance.
     #[arg(long, default_value_t = 4)]
@@ -39,12 +39,12 @@ pub(crate) struct Args {
     /// Width and height of the crops that the network sees, pixels.
     #[arg(long, default_value_t = 128)]
     size: u32,
-    /// Width and height of the crops in which the truth is drawn, pixels: `--size` times 1, 2 or 4, as in `pseudoflow adapt`.
-    /// [default: `--size`]
+    /// Width and height of the crops in which the truth is drawn, pixels: `--size` times 1, 2 or 4. [default: as in
+    /// `pseudoflow adapt`]
     #[arg(long)]
     label_size: Option<u32>,
     /// Peak of the one-cycle learning rate.
-    #[arg(long, default_value_t = 1e-4)]
+    #[arg(long, default_value_t = 2e-4)]
     max_lr: f64,
     /// Share of the old teacher in the new one after a step. [default: as in `pseudoflow adapt`]
     #[arg(long)]
@@ -60,9 +60,12 @@ pub(crate) struct Args {
     seed: u64,
 }
 
+/// The same as in `pseudoflow adapt`, so that its bound differs from it by its labels alone.
+const LABEL_PX: u32 = 256;
+
 impl Args {
     fn label_px(&self) -> u32 {
-        self.label_size.unwrap_or(self.size)
+        self.label_size.unwrap_or(self.size.max(LABEL_PX))
     }
 }
 

@@ -83,6 +83,7 @@ impl<N: Node> Runner<'_, N> {
             self.node.process(&frame, &mut self.outputs, &self.context).map_err(node_error)?;
             self.outputs.end().map_err(|error| self.launch.error(place(), error.to_string()))?;
         }
+        let objects = N::objects(&frame);
         drop(frame);
         self.links.ring_consumers();
         if plan.nodes[*me].acknowledges {
@@ -93,7 +94,13 @@ impl<N: Node> Runner<'_, N> {
         match index < *next {
             true => board.add(*me, Word::Repeats, 1),
             // A source counts what it makes.
-            false if *me != plan.source => board.count_frame(*me, begin_ns, monotonic_ns(), origin_ns),
+            false if *me != plan.source => {
+                let end_ns = monotonic_ns();
+                board.count_frame(*me, begin_ns, end_ns, origin_ns);
+                if let Some(objects) = objects {
+                    board.count_objects(*me, objects, end_ns - begin_ns);
+                }
+            }
             false => {}
         }
         *next = (*next).max(index + 1);

@@ -1,7 +1,8 @@
 use super::SupervisorError;
-use crate::board::{Board, Word};
+use crate::board::{Board, OBJECTS, Word};
 use crate::plan::{Plan, PlannedNode};
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::io::Write;
 use std::path::Path;
@@ -30,12 +31,25 @@ pub struct NodeSummary {
     pub work_ms: Option<[f64; 2]>,
     /// Milliseconds from the source to this node's end of the frame: median and 99th percentile.
     pub age_ms: Option<[f64; 2]>,
+    /// Work by the number of objects in a frame, where the node's work depends on it.
+    pub by_objects: Vec<ObjectsWork>,
     /// Frames given up for newer ones (live only).
     pub drops: u64,
     /// Frames handled again after a death.
     pub repeats: u64,
     /// How often it was started again.
     pub restarts: u64,
+}
+
+/// Work in frames with so many objects.
+#[derive(Debug, Clone, Serialize)]
+pub struct ObjectsWork {
+    /// How many objects; 23 stands for all above, too.
+    pub objects: usize,
+    /// Frames with so many.
+    pub frames: u64,
+    /// Mean milliseconds of work in one of them.
+    pub work_ms: f64,
 }
 
 impl Summary {
@@ -67,11 +81,17 @@ impl NodeSummary {
             busy: (span_ns > 0).then(|| board.get(node, Word::WorkNs) as f64 / span_ns as f64),
             work_ms: both(&|share| board.work_ms(node, share)),
             age_ms: both(&|share| board.age_ms(node, share)),
+            by_objects: by_objects(board, node),
             drops: board.get(node, Word::Drops),
             repeats: board.get(node, Word::Repeats),
             restarts: board.get(node, Word::Restarts),
         }
     }
+}
+
+fn by_objects(board: &Board, node: usize) -> Vec<ObjectsWork> {
+    let of = |objects| board.objects(node, objects).map(|(frames, work_ms)| ObjectsWork { objects, frames, work_ms });
+    (0..OBJECTS).filter_map(of).collect()
 }
 
 impl fmt::Display for Summary {
@@ -98,6 +118,29 @@ impl fmt::Display for Summary {
                 node.drops,
                 node.restarts
             )?;
+        }
+        self.write_by_objects(f)
+    }
+}
+
+impl Summary {
+    /// A column for each number of objects that frames had.
+    fn write_by_objects(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let measured: Vec<&NodeSummary> = self.nodes.iter().filter(|node| !node.by_objects.is_empty()).collect();
+        let numbers: BTreeSet<usize> = measured.iter().flat_map(|n| n.by_objects.iter().map(|o| o.objects)).collect();
+        if numbers.is_empty() {
+            return Ok(());
+        }
+        write!(f, "work, mean ms, by objects")?;
+        numbers.iter().try_for_each(|objects| write!(f, " {objects:>8}"))?;
+        writeln!(f)?;
+        for node in measured {
+            write!(f, "{:25}", node.name)?;
+            for objects in &numbers {
+                let work = node.by_objects.iter().find(|of| of.objects == *objects);
+                write!(f, " {:>8}", work.map_or("-".to_owned(), |of| format!("{:.1}", of.work_ms)))?;
+            }
+            writeln!(f)?;
         }
         Ok(())
     }
