@@ -18,11 +18,13 @@ pub struct PnpNodeConfig {
     /// Smallest agreement of flow and picture with a pose for the object to count as seen there, -1 to 3: inlier ratio,
     /// correlation of the rendering with the crop and contrast across its contour. Below it the status is `NotSeen`.
     pub min_seen: f64,
+    /// Frames of a training that went before this run: they decide what is drawn at random.
+    pub first_frame: u64,
 }
 
 impl Default for PnpNodeConfig {
     fn default() -> Self {
-        Self { solver: PnpConfig::default(), gate: Some(GateConfig::default()), min_seen: MIN_SEEN }
+        Self { solver: PnpConfig::default(), gate: Some(GateConfig::default()), min_seen: MIN_SEEN, first_frame: 0 }
     }
 }
 
@@ -267,7 +269,7 @@ impl Node for PnpNode {
                 "views and flow do not belong together: connect `flow` to the node that took the same `views`".into()
             );
         }
-        let mut rng = context.rng(inputs.key().index, "ransac");
+        let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
         let mut refined: Vec<(ObjectPose, f64)> = views.skipped.iter().map(|pose| (*pose, f64::NEG_INFINITY)).collect();
         for instance in 0..views.header.instances as usize {
             refined.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);

@@ -53,6 +53,7 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
         ("look_flow.network", network.clone()),
         ("look_flow.size_px", json!(args.label_px())),
         ("look_flow.lockstep", lockstep.clone()),
+        ("pnp.first_frame", json!(first)),
         ("renderer.objects", json!(args.objects)),
         ("renderer.size_px", json!(args.label_px())),
         ("renderer.views", json!(args.views)),
