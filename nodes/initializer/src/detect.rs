@@ -74,6 +74,12 @@ impl Rectangle {
     pub fn side_px(&self) -> f64 {
         self.size_px.max()
     }
+
+    /// Whether something whose middle is seen there may be what this rectangle is around.
+    #[must_use]
+    pub fn holds(&self, middle_px: &Point2<f64>) -> bool {
+        (middle_px - self.middle_px).norm() < SAME_PLACE * self.side_px()
+    }
 }
 
 /// Another pose that would explain what was seen.

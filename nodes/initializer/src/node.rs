@@ -5,7 +5,7 @@ use crate::network::DetectorNetwork;
 use crate::track::{Predicted, TrackConfig, Tracker};
 use crate::votes::{group, place, sureness, votes};
 use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
-use pseudoflow_imaging::{ObjectSet, RgbImage};
+use pseudoflow_imaging::{Object, ObjectSet, RgbImage};
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus,
@@ -108,17 +108,22 @@ impl Following {
 }
 
 impl InitializerNode {
-    /// The objects in a frame, the surest first.
+    /// The objects in a frame, the surest first, but for those that are tracked there.
     fn search(
         &mut self,
         frame: &CameraFrame<'_>,
         key: FrameKey,
+        tracker: Option<&Tracker>,
         context: &Context,
     ) -> Result<Vec<Detection>, NodeError> {
         let (width, height) = (frame.header.width, frame.header.height);
         let [fx, fy, cx, cy] = frame.header.intrinsics;
         let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
-        self.find(&image, &Intrinsics { fx, fy, cx, cy }, &mut context.rng(key.index, "ransac"))
+        let camera = Intrinsics { fx, fy, cx, cy };
+        let expected = |object: &Object, there: &Rectangle| {
+            tracker.is_some_and(|t| t.expects(object, there, &camera, key.stamp_ns))
+        };
+        self.find(&image, &camera, &expected, &mut context.rng(key.index, "ransac"))
     }
 
     /// Predictions for a frame, with a search of the image where the tracks want it. A frame that comes again gets what it
@@ -140,15 +145,22 @@ impl InitializerNode {
         }
         let searched = following.tracker.wants_search();
         if searched {
-            following.tracker.found(&self.search(frame, key, context)?, key.stamp_ns);
+            let found = self.search(frame, key, Some(&following.tracker), context)?;
+            following.tracker.found(&found, key.stamp_ns);
         }
         let poses = predictions(&following.tracker.predict(key.stamp_ns));
         let image = (frame.header.scene_id, frame.header.image_id);
         Ok(Sent { key, image, searched, poses, statuses: following.tracker.statuses() })
     }
 
-    /// The objects in an image, the surest first.
-    fn find(&mut self, image: &RgbImage, camera: &Intrinsics, rng: &mut impl Rng) -> Result<Vec<Detection>, NodeError> {
+    /// The objects in an image, the surest first, but for those that are expected where they are seen.
+    fn find(
+        &mut self,
+        image: &RgbImage,
+        camera: &Intrinsics,
+        expected: &dyn Fn(&Object, &Rectangle) -> bool,
+        rng: &mut impl Rng,
+    ) -> Result<Vec<Detection>, NodeError> {
         let fit = self.network.fit(image.width(), image.height());
         let answer = self.network.run(&fit.input(image))?;
         let groups = group(&votes(&answer, self.config.detect.min_vote as f32));
@@ -166,6 +178,9 @@ impl InitializerNode {
                     middle_px: fit.image_from_input(&seen.middle_px),
                     size_px: seen.size_px * (camera.fx / seen_by.fx),
                 };
+                if expected(object, &there) {
+                    continue;
+                }
                 let views = comparer.best(image, camera, object, &there)?.into_iter().map(|m| Hypothesis {
                     camera_from_object: m.camera_from_object,
                     score: score * m.similarity.clamp(0.0, 1.0),
@@ -308,7 +323,7 @@ impl Node for InitializerNode {
         let image = (frame.header.scene_id, frame.header.image_id);
         let sent = match self.following.take() {
             None => {
-                let poses = poses(&self.search(&frame, inputs.key(), context)?);
+                let poses = poses(&self.search(&frame, inputs.key(), None, context)?);
                 Sent { key: inputs.key(), image, searched: true, poses, statuses: Vec::new() }
             }
             Some(mut following) => {

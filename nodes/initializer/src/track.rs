@@ -10,10 +10,10 @@ mod tests;
 
 pub use config::TrackConfig;
 
-use crate::detect::{Detection, Hypothesis};
+use crate::detect::{Detection, Hypothesis, Rectangle, extent};
 use nalgebra::Vector6;
-use pseudoflow_geometry::{Pose, exp_se3, log_se3, pose_from_quaternion, rotation_angle_rad};
-use pseudoflow_imaging::ObjectSet;
+use pseudoflow_geometry::{Intrinsics, Pose, exp_se3, log_se3, pose_from_quaternion, rotation_angle_rad};
+use pseudoflow_imaging::{Object, ObjectSet};
 use pseudoflow_msgs::{ObjectPose, ObjectStatus, PoseStatus, TrackPhase, TrackReason};
 
 /// One instance over time.
@@ -141,6 +141,16 @@ impl Tracker {
         let missing = self.objects.iter().any(|(id, _)| sound(*id) < self.max_instances);
         let none = self.tracks.iter().all(|t| !t.active);
         none || missing && self.frames_since_search.is_none_or(|frames| frames >= self.config.search_every)
+    }
+
+    /// Whether a track without doubt expects the object where it was detected in an image at `stamp_ns`: there is nothing to
+    /// find out then.
+    #[must_use]
+    pub fn expects(&self, object: &Object, detected: &Rectangle, camera: &Intrinsics, stamp_ns: i64) -> bool {
+        let sound = |t: &&Track| t.active && !t.doubtful() && t.object_id == object.id;
+        let there = |t: &Track| extent(object, &t.predict(stamp_ns), camera);
+        let mut expected = self.tracks.iter().filter(sound).filter_map(there);
+        expected.any(|rectangle| rectangle.holds(&detected.middle_px))
     }
 
     /// Takes what a search of the image at `stamp_ns` found: what is not tracked there already gets a track, and a doubtful

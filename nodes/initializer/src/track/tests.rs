@@ -205,3 +205,20 @@ fn a_doubtful_track_gets_another_chance_where_it_is_detected() {
     assert!(next.tracked && next.others.is_empty(), "{next:?}");
     assert!((next.camera_from_object.translation.vector - there.translation.vector).norm() < 1e-9);
 }
+
+#[test]
+fn an_object_is_expected_where_its_track_goes_and_not_elsewhere() {
+    let mut tracker = tracker(1);
+    for i in 0..3 {
+        frame(&mut tracker, i, at(0.0, 0.5), true);
+    }
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/objects/tabletop");
+    let objects = ObjectSet::load(&folder).unwrap();
+    let camera = Intrinsics { fx: 600.0, fy: 600.0, cx: 320.0, cy: 240.0 };
+    let seen = |id: u32, pose: &Pose| extent(objects.get(id).unwrap(), pose, &camera).unwrap();
+    let expects =
+        |id: u32, pose: &Pose| tracker.expects(objects.get(id).unwrap(), &seen(id, pose), &camera, 3 * STEP_NS);
+    assert!(expects(MUSTARD, &at(0.01, 0.5)));
+    assert!(!expects(MUSTARD, &at(0.3, 0.5)), "elsewhere");
+    assert!(!expects(1, &at(0.0, 0.5)), "another object");
+}
