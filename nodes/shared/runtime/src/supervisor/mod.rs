@@ -6,7 +6,7 @@ mod summary;
 mod table;
 mod territory;
 
-pub use summary::{NodeSummary, Summary};
+pub use summary::{NodeSummary, ObjectsWork, Summary};
 
 use crate::Registry;
 use crate::graph::{Graph, GraphError};
