@@ -34,6 +34,8 @@ pub enum TrackReason {
     LeftImage = 6,
     /// A second track came to the same place.
     Duplicate = 7,
+    /// It is looked for where it was left among the other objects, to be confirmed by the next frames.
+    Remembered = 8,
 }
 
 impl TrackPhase {
@@ -55,7 +57,7 @@ impl TrackPhase {
 }
 
 impl TrackReason {
-    const ALL: [Self; 8] = [
+    const ALL: [Self; 9] = [
         Self::NotFound,
         Self::Detected,
         Self::Confirmed,
@@ -64,6 +66,7 @@ impl TrackReason {
         Self::Jumped,
         Self::LeftImage,
         Self::Duplicate,
+        Self::Remembered,
     ];
 
     /// The reason of a stored number.
@@ -84,6 +87,7 @@ impl TrackReason {
             Self::Jumped => "the pose jumped",
             Self::LeftImage => "left the image",
             Self::Duplicate => "another track is at the same place",
+            Self::Remembered => "looked for where it was left, not confirmed yet",
         }
     }
 }

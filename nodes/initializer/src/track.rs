@@ -2,19 +2,24 @@
 //!
 //! Each object instance has a track. It is `Searching` until enough good frames in a row confirm a detection, then
 //! `Tracking`, and `Lost` after enough bad ones; a lost one that is detected again keeps its number. Between frames a track
-//! moves with constant velocity in SE(3).
+//! moves with constant velocity in SE(3). What is hidden or lost is expected where it was among the other objects
+//! ([`anchors`]).
 
+mod anchors;
 mod config;
+mod judge;
 #[cfg(test)]
 mod tests;
 
 pub use config::TrackConfig;
 
 use crate::detect::{Detection, Hypothesis, Rectangle, extent};
+use anchors::Anchor;
+use judge::{bad, good, judge};
 use nalgebra::Vector6;
-use pseudoflow_geometry::{Intrinsics, Pose, exp_se3, log_se3, pose_from_quaternion, rotation_angle_rad};
+use pseudoflow_geometry::{Intrinsics, Pose, exp_se3, log_se3};
 use pseudoflow_imaging::{Object, ObjectSet};
-use pseudoflow_msgs::{ObjectPose, ObjectStatus, PoseStatus, TrackPhase, TrackReason};
+use pseudoflow_msgs::{ObjectPose, ObjectStatus, TrackPhase, TrackReason};
 
 /// One instance over time.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +42,8 @@ struct Track {
     good: u32,
     bad: u32,
     score: f64,
+    /// The objects around it when it was last seen.
+    anchors: Vec<Anchor>,
 }
 
 /// A pose to begin a frame from.
@@ -73,6 +80,32 @@ const NEAR_DIAMETERS: f64 = 0.75;
 const MAX_GAP_S: f64 = 0.5;
 
 impl Track {
+    fn new(detection: &Detection, instance: u32, stamp_ns: i64) -> Self {
+        Self {
+            object_id: detection.object_id,
+            instance,
+            phase: TrackPhase::Searching,
+            reason: TrackReason::Detected,
+            active: true,
+            fresh: true,
+            pose: detection.camera_from_object,
+            others: detection.others.clone(),
+            stamp_ns,
+            velocity: Vector6::zeros(),
+            good: 0,
+            bad: 0,
+            score: detection.score,
+            anchors: Vec::new(),
+        }
+    }
+
+    /// Goes on from a pose that no refinement has looked at.
+    fn resume(&mut self, reason: TrackReason, pose: Pose, others: Vec<Hypothesis>, stamp_ns: i64) {
+        (self.reason, self.active, self.fresh) = (reason, true, true);
+        (self.pose, self.others, self.stamp_ns) = (pose, others, stamp_ns);
+        (self.good, self.bad, self.velocity) = (0, 0, Vector6::zeros());
+    }
+
     fn predict(&self, stamp_ns: i64) -> Pose {
         let seconds = (stamp_ns - self.stamp_ns) as f64 * 1e-9;
         if !(0.0..=MAX_GAP_S).contains(&seconds) {
@@ -97,11 +130,17 @@ impl Track {
     }
 
     /// It may be where it is expected, or where it was detected: the refiner tries both.
-    fn doubt(&mut self, detection: &Detection, stamp_ns: i64) {
-        let expected = Hypothesis { camera_from_object: self.predict(stamp_ns), score: detection.score };
+    fn doubt(&mut self, detection: &Detection, expected: Pose, stamp_ns: i64) {
+        let expected = Hypothesis { camera_from_object: expected, score: detection.score };
         self.others = std::iter::once(expected).chain(detection.others.iter().copied()).collect();
         (self.pose, self.stamp_ns, self.fresh) = (detection.camera_from_object, stamp_ns, true);
         self.velocity = Vector6::zeros();
+    }
+
+    /// Still no more than a detection, but from where the refinement ended.
+    fn look_again(&mut self, there: Pose, stamp_ns: i64) {
+        (self.pose, self.stamp_ns) = (there, stamp_ns);
+        self.others.clear();
     }
 
     fn stop(&mut self, phase: TrackPhase, reason: TrackReason) {
@@ -120,17 +159,21 @@ impl Tracker {
 
     /// Takes what became of a frame that was there at `stamp_ns`.
     pub fn learn(&mut self, poses: &[ObjectPose], stamp_ns: i64) {
+        // All of them before any track moves.
+        let expected: Vec<Pose> = self.tracks.iter().map(|t| self.expected(t, stamp_ns)).collect();
         for pose in poses {
             let diameter_m = self.diameter_m(pose.object_id);
-            let same = |t: &&mut Track| t.active && (t.object_id, t.instance) == (pose.object_id, pose.instance);
-            if let Some(track) = self.tracks.iter_mut().find(same).filter(|t| t.fresh || stamp_ns > t.stamp_ns) {
-                match judge(track, pose, stamp_ns, diameter_m, &self.config) {
+            let same = |t: &Track| t.active && (t.object_id, t.instance) == (pose.object_id, pose.instance);
+            let known = self.tracks.iter_mut().zip(&expected).find(|(t, _)| same(t));
+            if let Some((track, expected)) = known.filter(|(t, _)| t.fresh || stamp_ns > t.stamp_ns) {
+                match judge(track, pose, expected, diameter_m, &self.config) {
                     Ok(there) => good(track, there, pose.score, stamp_ns, &self.config),
-                    Err(reason) => bad(track, reason, pose.score, &self.config),
+                    Err(reason) => bad(track, reason, pose, stamp_ns, &self.config),
                 }
             }
         }
         self.drop_duplicates();
+        self.anchor(stamp_ns);
     }
 
     /// Whether to search the next image: nothing is tracked, or something is missing or doubtful and the last search is long
@@ -154,60 +197,58 @@ impl Tracker {
     }
 
     /// Takes what a search of the image at `stamp_ns` found: what is not tracked there already gets a track, and a doubtful
-    /// track another chance.
+    /// track another chance. What is still lost is looked for where the other objects say that it was left.
     pub fn found(&mut self, detections: &[Detection], stamp_ns: i64) {
         self.frames_since_search = Some(0);
         for detection in detections {
-            let diameter_m = self.diameter_m(detection.object_id);
-            let away = |t: &Track| {
-                (t.predict(stamp_ns).translation.vector - detection.camera_from_object.translation.vector).norm()
+            let of_object = |t: &Track| t.active && t.object_id == detection.object_id;
+            let here: Vec<bool> =
+                self.tracks.iter().map(|t| of_object(t) && self.near(t, detection, stamp_ns)).collect();
+            if self.tracks.iter().zip(&here).any(|(t, here)| *here && !t.doubtful()) {
+                continue;
+            }
+            let full = self.tracks.iter().filter(|t| of_object(t)).count() >= self.max_instances;
+            let doubtful = |i: &usize| {
+                let t = &self.tracks[*i];
+                // What is hidden where the others say that it is has not gone elsewhere.
+                let elsewhere = full && self.anchored(t, stamp_ns).is_none();
+                of_object(t) && t.doubtful() && !t.fresh && (here[*i] || elsewhere)
             };
-            let of_object = |t: &&Track| t.active && t.object_id == detection.object_id;
-            let here = |t: &Track| away(t) < NEAR_DIAMETERS * diameter_m;
-            let known = self.tracks.iter().filter(of_object).any(|t| here(t) && !t.doubtful());
-            let full = self.tracks.iter().filter(of_object).count() >= self.max_instances;
-            let doubtful = |t: &&mut Track| of_object(&&**t) && t.doubtful() && !t.fresh && (full || here(t));
-            match self.tracks.iter_mut().find(doubtful) {
-                _ if known => {}
-                Some(track) => track.doubt(detection, stamp_ns),
+            match (0..self.tracks.len()).find(doubtful) {
+                Some(i) => {
+                    let expected = self.expected(&self.tracks[i], stamp_ns);
+                    self.tracks[i].doubt(detection, expected, stamp_ns);
+                }
                 None if full => {}
                 None => self.begin(detection, stamp_ns),
             }
         }
+        self.remember(stamp_ns);
+    }
+
+    /// Whether a detection may be what is tracked.
+    fn near(&self, track: &Track, detection: &Detection, stamp_ns: i64) -> bool {
+        let expected = self.expected(track, stamp_ns).translation.vector;
+        let away_m = (expected - detection.camera_from_object.translation.vector).norm();
+        away_m < NEAR_DIAMETERS * self.diameter_m(track.object_id)
     }
 
     /// A lost track of the object goes on, the one that was nearest; else a new one begins.
     fn begin(&mut self, detection: &Detection, stamp_ns: i64) {
         let at = detection.camera_from_object.translation.vector;
-        let away = |t: &Track| (t.pose.translation.vector - at).norm();
-        let idle = self.tracks.iter_mut().filter(|t| !t.active && t.object_id == detection.object_id);
-        let nearest = idle.min_by(|a, b| away(a).total_cmp(&away(b)));
-        let track = match nearest {
-            Some(track) => track,
-            None => {
-                let instance = self.tracks.iter().filter(|t| t.object_id == detection.object_id).count() as u32;
-                self.tracks.push(Track {
-                    object_id: detection.object_id,
-                    instance,
-                    phase: TrackPhase::Searching,
-                    reason: TrackReason::Detected,
-                    active: true,
-                    fresh: true,
-                    pose: detection.camera_from_object,
-                    others: detection.others.clone(),
-                    stamp_ns,
-                    velocity: Vector6::zeros(),
-                    good: 0,
-                    bad: 0,
-                    score: detection.score,
-                });
-                return;
-            }
+        let away = |i: &usize| (self.expected(&self.tracks[*i], stamp_ns).translation.vector - at).norm();
+        let idle = |i: &usize| !self.tracks[*i].active && self.tracks[*i].object_id == detection.object_id;
+        let nearest = (0..self.tracks.len()).filter(idle).min_by(|a, b| away(a).total_cmp(&away(b)));
+        let Some(i) = nearest else {
+            let instance = self.tracks.iter().filter(|t| t.object_id == detection.object_id).count() as u32;
+            self.tracks.push(Track::new(detection, instance, stamp_ns));
+            return;
         };
-        (track.reason, track.active, track.fresh) = (TrackReason::Detected, true, true);
-        (track.pose, track.stamp_ns, track.score) = (detection.camera_from_object, stamp_ns, detection.score);
-        (track.good, track.bad, track.velocity) = (0, 0, Vector6::zeros());
-        track.others.clone_from(&detection.others);
+        let left = self.anchored(&self.tracks[i], stamp_ns);
+        let left = left.map(|pose| Hypothesis { camera_from_object: pose, score: detection.score });
+        let others = detection.others.iter().copied().chain(left).collect();
+        self.tracks[i].resume(TrackReason::Detected, detection.camera_from_object, others, stamp_ns);
+        self.tracks[i].score = detection.score;
     }
 
     /// Where everything should be at `stamp_ns`. Counts a frame.
@@ -216,7 +257,7 @@ impl Tracker {
         let predicted = |t: &Track| Predicted {
             object_id: t.object_id,
             instance: t.instance,
-            camera_from_object: t.predict(stamp_ns),
+            camera_from_object: self.expected(t, stamp_ns),
             score: t.score,
             tracked: !t.fresh,
             others: t.others.clone(),
@@ -272,51 +313,5 @@ impl Tracker {
                 }
             }
         }
-    }
-}
-
-/// The pose, if it can be believed; else why not.
-fn judge(
-    track: &Track,
-    pose: &ObjectPose,
-    stamp_ns: i64,
-    diameter_m: f64,
-    config: &TrackConfig,
-) -> Result<Pose, TrackReason> {
-    match pose.status() {
-        Some(PoseStatus::Ok | PoseStatus::Rejected) => {}
-        Some(PoseStatus::NotVisible) => return Err(TrackReason::LeftImage),
-        Some(PoseStatus::NotSeen) => return Err(TrackReason::NotSeen),
-        _ => return Err(TrackReason::NotSolved),
-    }
-    if pose.score < config.min_inlier_ratio {
-        return Err(TrackReason::NotSeen);
-    }
-    let there = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).map_err(|_| TrackReason::NotSolved)?;
-    let expected = track.predict(stamp_ns);
-    let jump = (there.translation.vector - expected.translation.vector).norm() / diameter_m;
-    let turn_deg = rotation_angle_rad(&there, &expected).to_degrees();
-    // A detection is rough: only what is tracked has an expected place.
-    let jumped = !track.fresh && (jump > config.max_jump_diameters || turn_deg > config.max_turn_deg);
-    if jumped { Err(TrackReason::Jumped) } else { Ok(there) }
-}
-
-fn good(track: &mut Track, there: Pose, score: f64, stamp_ns: i64, config: &TrackConfig) {
-    track.move_to(there, stamp_ns, config.velocity_gain);
-    (track.good, track.bad, track.score) = (track.good + 1, 0, score);
-    if track.phase == TrackPhase::Tracking || track.good >= config.confirm_after {
-        (track.phase, track.reason) = (TrackPhase::Tracking, TrackReason::Confirmed);
-    }
-}
-
-fn bad(track: &mut Track, reason: TrackReason, score: f64, config: &TrackConfig) {
-    (track.good, track.bad, track.score) = (0, track.bad + 1, score);
-    track.velocity = Vector6::zeros();
-    track.reason = reason;
-    let (tracking, gone) = (track.phase == TrackPhase::Tracking, reason == TrackReason::LeftImage);
-    if !tracking {
-        track.stop(track.phase, reason);
-    } else if gone || track.bad >= config.lose_after {
-        track.stop(TrackPhase::Lost, reason);
     }
 }

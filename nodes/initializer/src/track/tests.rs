@@ -1,7 +1,9 @@
+mod anchors;
+
 use super::*;
 use nalgebra::{Point2, Translation3, UnitQuaternion, Vector3};
-use pseudoflow_geometry::quaternion_xyzw;
-use pseudoflow_msgs::PoseSource;
+use pseudoflow_geometry::{quaternion_xyzw, rotation_angle_rad};
+use pseudoflow_msgs::{PoseSource, PoseStatus};
 use std::path::Path;
 
 const MUSTARD: u32 = 2;
@@ -123,13 +125,20 @@ fn jumps_and_weak_poses_are_bad_frames() {
 }
 
 #[test]
-fn a_detection_that_is_not_confirmed_is_dropped_at_once() {
+fn a_detection_that_is_not_confirmed_gets_a_second_look_from_its_refinement_and_no_third() {
     let mut tracker = tracker(1);
-    tracker.found(&[detection(at(0.0, 0.5))], 0);
+    let others = vec![Hypothesis { camera_from_object: at(0.0, 2.0), score: 0.5 }];
+    tracker.found(&[Detection { others, ..detection(at(0.0, 0.5)) }], 0);
     let predicted = tracker.predict(0);
     assert!(!predicted[0].tracked);
-    tracker.learn(&[refined(&predicted[0], at(0.0, 0.5), PoseStatus::NotSeen)], 0);
-    assert!(tracker.predict(STEP_NS).is_empty());
+    let better = at(0.02, 0.6);
+    tracker.learn(&[refined(&predicted[0], better, PoseStatus::NotSeen)], 0);
+    let again = tracker.predict(STEP_NS);
+    assert!((again[0].camera_from_object.inverse() * better).to_homogeneous().is_identity(1e-9), "{again:?}");
+    assert_eq!((again[0].tracked, again[0].others.len()), (false, 0));
+    assert_eq!(status(&tracker), (TrackPhase::Searching as u32, TrackReason::NotSeen as u32));
+    tracker.learn(&[refined(&again[0], better, PoseStatus::NotSeen)], STEP_NS);
+    assert!(tracker.predict(2 * STEP_NS).is_empty());
     assert_eq!(status(&tracker), (TrackPhase::Searching as u32, TrackReason::NotSeen as u32));
 }
 
