@@ -108,7 +108,8 @@ impl Following {
 }
 
 impl InitializerNode {
-    /// The objects in a frame, the surest first, but for those that are tracked there.
+    /// The objects in a frame, the surest first. With `compare`, which is dear, those that are tracked where they are seen are
+    /// left out; else the tracker drops them.
     fn search(
         &mut self,
         frame: &CameraFrame<'_>,

@@ -10,6 +10,7 @@ mod training;
 use anyhow::{Context as _, Result, bail, ensure};
 use judge::judge;
 use pseudoflow_runtime::supervisor;
+use pseudoflow_trainer::adapt::LABEL_PX;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -114,9 +115,6 @@ pub(crate) struct Args {
 
 /// The labels of [`pseudoflow_consistency::Label`], as in a graph file.
 const LABELS: [&str; 3] = ["teacher_flow", "mean_vote", "rigid"];
-
-/// Where nano's labels agree with the true flow (tables in the README).
-const LABEL_PX: u32 = 256;
 
 /// The exit code of a training that made nothing better.
 const NOT_BETTER: u8 = 3;

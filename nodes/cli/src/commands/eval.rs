@@ -65,8 +65,8 @@ pub(crate) struct Args {
     /// Engine of the flow network: auto, onnxruntime or rten.
     #[arg(long, default_value = "auto")]
     backend: String,
-    /// ONNX Runtime's library.
-    #[arg(long, env = "PSEUDOFLOW_ONNXRUNTIME")]
+    /// ONNX Runtime's library; else `ORT_DYLIB_PATH`, as everywhere.
+    #[arg(long)]
     onnxruntime: Option<PathBuf>,
     /// Accept every refined pose, also those that the gate would refuse.
     #[arg(long)]

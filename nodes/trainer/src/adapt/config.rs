@@ -107,6 +107,10 @@ fn yes() -> bool {
     true
 }
 
+/// Width and height of the teacher's crops unless they are given, pixels: where nano's labels agree with the true flow (tables
+/// in the README).
+pub const LABEL_PX: u32 = 256;
+
 impl TrainerConfig {
     /// A training with the defaults.
     #[must_use]

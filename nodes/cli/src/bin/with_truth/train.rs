@@ -7,7 +7,7 @@ use pseudoflow_msgs::{
 use pseudoflow_player::{PlayerConfig, PlayerNode, Sampling};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node, Produced};
-use pseudoflow_trainer::adapt::{AdaptState, Sample, TrainerConfig};
+use pseudoflow_trainer::adapt::{AdaptState, LABEL_PX, Sample, TrainerConfig};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -60,10 +60,8 @@ pub(crate) struct Args {
     seed: u64,
 }
 
-/// The same as in `pseudoflow adapt`, so that its bound differs from it by its labels alone.
-const LABEL_PX: u32 = 256;
-
 impl Args {
+    /// As in `pseudoflow adapt`: the bound differs from it by its labels alone.
     fn label_px(&self) -> u32 {
         self.label_size.unwrap_or(self.size.max(LABEL_PX))
     }
