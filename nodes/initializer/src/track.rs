@@ -202,8 +202,11 @@ impl Tracker {
         self.frames_since_search = Some(0);
         for detection in detections {
             let of_object = |t: &Track| t.active && t.object_id == detection.object_id;
-            let here: Vec<bool> =
-                self.tracks.iter().map(|t| of_object(t) && self.near(t, detection, stamp_ns)).collect();
+            let here: Vec<bool> = self
+                .tracks
+                .iter()
+                .map(|t| of_object(t) && self.near(t, &detection.camera_from_object, stamp_ns))
+                .collect();
             if self.tracks.iter().zip(&here).any(|(t, here)| *here && !t.doubtful()) {
                 continue;
             }
@@ -226,10 +229,10 @@ impl Tracker {
         self.remember(stamp_ns);
     }
 
-    /// Whether a detection may be what is tracked.
-    fn near(&self, track: &Track, detection: &Detection, stamp_ns: i64) -> bool {
+    /// Whether an object of that kind at a pose may be what is tracked.
+    fn near(&self, track: &Track, pose: &Pose, stamp_ns: i64) -> bool {
         let expected = self.expected(track, stamp_ns).translation.vector;
-        let away_m = (expected - detection.camera_from_object.translation.vector).norm();
+        let away_m = (expected - pose.translation.vector).norm();
         away_m < NEAR_DIAMETERS * self.diameter_m(track.object_id)
     }
 

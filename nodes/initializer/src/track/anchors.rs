@@ -3,7 +3,7 @@
 //! A track remembers its pose in the frame of each other object that was seen with it. Where two or more of them agree on where
 //! it is now, that is where it is expected. One alone is not believed: it may have been moved.
 
-use super::{Hypothesis, Track, Tracker};
+use super::{Track, Tracker};
 use pseudoflow_geometry::Pose;
 use pseudoflow_msgs::{TrackPhase, TrackReason};
 
@@ -66,8 +66,10 @@ impl Tracker {
             if track.active || track.phase != TrackPhase::Lost || active >= self.max_instances {
                 continue;
             }
-            if let Some(left) = self.anchored(track, stamp_ns) {
-                self.tracks[i].resume(TrackReason::Remembered, left, Vec::<Hypothesis>::new(), stamp_ns);
+            let Some(left) = self.anchored(track, stamp_ns) else { continue };
+            let taken = |t: &Track| t.active && t.object_id == track.object_id && self.near(t, &left, stamp_ns);
+            if !self.tracks.iter().any(taken) {
+                self.tracks[i].resume(TrackReason::Remembered, left, Vec::new(), stamp_ns);
             }
         }
     }

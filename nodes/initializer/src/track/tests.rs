@@ -143,6 +143,20 @@ fn a_detection_that_is_not_confirmed_gets_a_second_look_from_its_refinement_and_
 }
 
 #[test]
+fn one_bad_frame_before_it_is_confirmed_is_forgiven() {
+    let mut tracker = tracker(1);
+    frame(&mut tracker, 0, at(0.0, 0.5), true);
+    let predicted = tracker.predict(STEP_NS);
+    tracker.learn(&[refined(&predicted[0], at(0.1, 0.9), PoseStatus::NotSeen)], STEP_NS);
+    let next = tracker.predict(2 * STEP_NS).remove(0);
+    assert!((next.camera_from_object.translation.vector - at(0.0, 0.5).translation.vector).norm() < 1e-9, "{next:?}");
+    for i in 2..4 {
+        frame(&mut tracker, i, at(0.0, 0.5), true);
+    }
+    assert_eq!(status(&tracker), (TrackPhase::Tracking as u32, TrackReason::Confirmed as u32));
+}
+
+#[test]
 fn searches_are_rare_while_something_is_tracked() {
     let mut tracker = tracker(1);
     // Four of the five objects are never there.

@@ -87,3 +87,30 @@ fn what_is_hidden_has_not_gone_to_where_something_like_it_is_detected() {
     let left = Predicted { camera_from_object: both.others[0].camera_from_object, ..both };
     assert!(away_m(&left, 7) < 2e-3, "{left:?}");
 }
+
+#[test]
+fn a_place_that_another_instance_has_taken_is_not_searched_again() {
+    let mut tracker = tracker(2);
+    let left = |i: i64| [0.0, 0.2 - 0.02 * i.min(10) as f64, 0.8];
+    let at_m = |p: &Predicted, i: i64| match (p.object_id, p.instance) {
+        (MUSTARD, 0) => [0.0, 0.0, 0.8],
+        (MUSTARD, _) => left(i),
+        (id, _) => SCENE.into_iter().find(|(known, _)| *known == id).unwrap().1,
+    };
+    let seen = |object_id: u32, at_m: [f64; 3]| Detection { object_id, ..detection(seen_from(0, at_m)) };
+    let all = [(BOX, SCENE[0].1), (DRILL, SCENE[2].1), (MUSTARD, [0.0, 0.0, 0.8]), (MUSTARD, left(0))];
+    tracker.found(&all.map(|(id, at_m)| seen(id, at_m)), 0);
+    let mut bottles = 0;
+    for i in 0..40 {
+        if tracker.wants_search() {
+            tracker.found(&[], i * STEP_NS);
+        }
+        let predicted = tracker.predict(i * STEP_NS);
+        bottles = predicted.iter().filter(|p| p.object_id == MUSTARD).count();
+        assert!(i < 15 || bottles == 1, "{bottles} bottles in frame {i}");
+        let poses: Vec<ObjectPose> =
+            predicted.iter().map(|p| refined(p, seen_from(i, at_m(p, i)), PoseStatus::Ok)).collect();
+        tracker.learn(&poses, i * STEP_NS);
+    }
+    assert_eq!(bottles, 1);
+}
