@@ -37,7 +37,7 @@ pub struct Sampling {
 }
 
 fn default_partners() -> u32 {
-    3
+    1
 }
 
 fn default_angle_deg() -> u32 {

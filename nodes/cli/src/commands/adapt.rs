@@ -32,7 +32,7 @@ pub(crate) struct Args {
     /// The weights to write, if they are better. Log, checkpoint and report stand in a folder of the same name.
     #[arg(long)]
     out: PathBuf,
-    /// Training steps. A hundred take about twenty minutes on two cores, without the photometric loss.
+    /// Training steps. A hundred take about half an hour on two cores.
     #[arg(long, default_value_t = 100)]
     steps: u64,
     /// Instances in a step.
@@ -45,7 +45,7 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 4)]
     views: u32,
     /// Other frames that the photometric loss compares with.
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = 1)]
     partners: u32,
     /// Largest disagreement of a label between the views, pixels of a 256 px crop. The paper's 1 wants a teacher that is good
     /// already.
