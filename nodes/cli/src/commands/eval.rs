@@ -108,6 +108,7 @@ impl Args {
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     if let Some([before, after]) = args.compare.as_deref() {
         let folder = args.report.clone().unwrap_or_default();
+        std::fs::create_dir_all(&folder).with_context(|| format!("`--report {}`: cannot be made", folder.display()))?;
         return compare(&CompareArgs {
             before: before.clone(),
             after: after.clone(),
