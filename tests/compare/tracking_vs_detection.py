@@ -11,6 +11,7 @@ PyYAML and Pillow. The truth is read by the evaluator node and by this script al
 import argparse
 import json
 import shutil
+import statistics
 import subprocess
 import tempfile
 import time
@@ -105,8 +106,8 @@ def drift(name, report):
     tenth = max(len(numbers) // 10, 1)
 
     def median(images):
-        errors = sorted(i["add_s_of_diameter"] for i in instances if i["image_id"] in images)
-        return errors[len(errors) // 2] if errors else float("nan")
+        errors = [i["add_s_of_diameter"] for i in instances if i["image_id"] in images]
+        return statistics.median_high(errors) if errors else float("nan")
 
     first, last = median(set(numbers[:tenth])), median(set(numbers[-tenth:]))
     ratio = last / first if first else float("nan")

@@ -3,7 +3,7 @@
 //! Each object instance has a track. It is `Searching` until enough good frames in a row confirm a detection, then
 //! `Tracking`, and `Lost` after enough bad ones; a lost one that is detected again keeps its number. Between frames a track
 //! moves with constant velocity in SE(3). What is hidden or lost is expected where it was among the other objects
-//! ([`anchors`]).
+//! (`anchors`).
 
 mod anchors;
 mod config;
@@ -99,11 +99,21 @@ impl Track {
         }
     }
 
-    /// Goes on from a pose that no refinement has looked at.
-    fn resume(&mut self, reason: TrackReason, pose: Pose, others: Vec<Hypothesis>, stamp_ns: i64) {
-        (self.reason, self.active, self.fresh) = (reason, true, true);
+    /// The object and its number, as [`ObjectPose::identity`].
+    fn identity(&self) -> (u32, u32) {
+        (self.object_id, self.instance)
+    }
+
+    /// Goes on from a pose that is no more than a detection.
+    fn start_from(&mut self, pose: Pose, others: Vec<Hypothesis>, stamp_ns: i64) {
         (self.pose, self.others, self.stamp_ns) = (pose, others, stamp_ns);
-        (self.good, self.bad, self.velocity) = (0, 0, Vector6::zeros());
+        (self.fresh, self.velocity) = (true, Vector6::zeros());
+    }
+
+    /// Is there again, to be confirmed.
+    fn resume(&mut self, reason: TrackReason, pose: Pose, others: Vec<Hypothesis>, stamp_ns: i64) {
+        self.start_from(pose, others, stamp_ns);
+        (self.reason, self.active, self.good, self.bad) = (reason, true, 0, 0);
     }
 
     fn predict(&self, stamp_ns: i64) -> Pose {
@@ -132,15 +142,8 @@ impl Track {
     /// It may be where it is expected, or where it was detected: the refiner tries both.
     fn doubt(&mut self, detection: &Detection, expected: Pose, stamp_ns: i64) {
         let expected = Hypothesis { camera_from_object: expected, score: detection.score };
-        self.others = std::iter::once(expected).chain(detection.others.iter().copied()).collect();
-        (self.pose, self.stamp_ns, self.fresh) = (detection.camera_from_object, stamp_ns, true);
-        self.velocity = Vector6::zeros();
-    }
-
-    /// Still no more than a detection, but from where the refinement ended.
-    fn look_again(&mut self, there: Pose, stamp_ns: i64) {
-        (self.pose, self.stamp_ns) = (there, stamp_ns);
-        self.others.clear();
+        let others = std::iter::once(expected).chain(detection.others.iter().copied()).collect();
+        self.start_from(detection.camera_from_object, others, stamp_ns);
     }
 
     fn stop(&mut self, phase: TrackPhase, reason: TrackReason) {
@@ -163,7 +166,7 @@ impl Tracker {
         let expected: Vec<Pose> = self.tracks.iter().map(|t| self.expected(t, stamp_ns)).collect();
         for pose in poses {
             let diameter_m = self.diameter_m(pose.object_id);
-            let same = |t: &Track| t.active && (t.object_id, t.instance) == (pose.object_id, pose.instance);
+            let same = |t: &Track| t.active && t.identity() == pose.identity();
             let known = self.tracks.iter_mut().zip(&expected).find(|(t, _)| same(t));
             if let Some((track, expected)) = known.filter(|(t, _)| t.fresh || stamp_ns > t.stamp_ns) {
                 match judge(track, pose, expected, diameter_m, &self.config) {
@@ -210,12 +213,12 @@ impl Tracker {
             if self.tracks.iter().zip(&here).any(|(t, here)| *here && !t.doubtful()) {
                 continue;
             }
-            let full = self.tracks.iter().filter(|t| of_object(t)).count() >= self.max_instances;
+            let full = self.full(detection.object_id);
             let doubtful = |i: &usize| {
                 let t = &self.tracks[*i];
                 // What is hidden where the others say that it is has not gone elsewhere.
-                let elsewhere = full && self.anchored(t, stamp_ns).is_none();
-                of_object(t) && t.doubtful() && !t.fresh && (here[*i] || elsewhere)
+                let elsewhere = || full && self.anchored(t, stamp_ns).is_none();
+                of_object(t) && t.doubtful() && !t.fresh && (here[*i] || elsewhere())
             };
             match (0..self.tracks.len()).find(doubtful) {
                 Some(i) => {
@@ -229,17 +232,20 @@ impl Tracker {
         self.remember(stamp_ns);
     }
 
+    /// Whether there are as many instances of an object as there may be.
+    fn full(&self, object_id: u32) -> bool {
+        self.tracks.iter().filter(|t| t.active && t.object_id == object_id).count() >= self.max_instances
+    }
+
     /// Whether an object of that kind at a pose may be what is tracked.
     fn near(&self, track: &Track, pose: &Pose, stamp_ns: i64) -> bool {
-        let expected = self.expected(track, stamp_ns).translation.vector;
-        let away_m = (expected - pose.translation.vector).norm();
-        away_m < NEAR_DIAMETERS * self.diameter_m(track.object_id)
+        distance_m(&self.expected(track, stamp_ns), pose) < NEAR_DIAMETERS * self.diameter_m(track.object_id)
     }
 
     /// A lost track of the object goes on, the one that was nearest; else a new one begins.
     fn begin(&mut self, detection: &Detection, stamp_ns: i64) {
-        let at = detection.camera_from_object.translation.vector;
-        let away = |i: &usize| (self.expected(&self.tracks[*i], stamp_ns).translation.vector - at).norm();
+        let at = &detection.camera_from_object;
+        let away = |i: &usize| distance_m(&self.expected(&self.tracks[*i], stamp_ns), at);
         let idle = |i: &usize| !self.tracks[*i].active && self.tracks[*i].object_id == detection.object_id;
         let nearest = (0..self.tracks.len()).filter(idle).min_by(|a, b| away(a).total_cmp(&away(b)));
         let Some(i) = nearest else {
@@ -308,13 +314,16 @@ impl Tracker {
             for j in 0..self.tracks.len() {
                 let (a, b) = (&self.tracks[i], &self.tracks[j]);
                 let same = i != j && a.active && b.active && a.object_id == b.object_id;
-                let away_m = (a.pose.translation.vector - b.pose.translation.vector).norm();
                 let longer = (a.good, std::cmp::Reverse(a.instance)) >= (b.good, std::cmp::Reverse(b.instance));
-                if same && longer && away_m < 0.25 * self.diameter_m(a.object_id) {
+                if same && longer && distance_m(&a.pose, &b.pose) < 0.25 * self.diameter_m(a.object_id) {
                     let phase = if b.phase == TrackPhase::Tracking { TrackPhase::Lost } else { b.phase };
                     self.tracks[j].stop(phase, TrackReason::Duplicate);
                 }
             }
         }
     }
+}
+
+fn distance_m(a: &Pose, b: &Pose) -> f64 {
+    (a.translation.vector - b.translation.vector).norm()
 }

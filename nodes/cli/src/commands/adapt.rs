@@ -10,7 +10,7 @@ mod training;
 use anyhow::{Context as _, Result, bail, ensure};
 use judge::judge;
 use pseudoflow_runtime::supervisor;
-use pseudoflow_trainer::adapt::LABEL_PX;
+use pseudoflow_trainer::adapt::label_px;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -122,7 +122,7 @@ const NOT_BETTER: u8 = 3;
 impl Args {
     /// Width and height of the teacher's crops.
     fn label_px(&self) -> u32 {
-        self.label_size.unwrap_or(self.size.max(LABEL_PX))
+        label_px(self.label_size, self.size)
     }
 
     /// Where the training keeps its things.

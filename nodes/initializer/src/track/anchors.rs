@@ -3,15 +3,15 @@
 //! A track remembers its pose in the frame of each other object that was seen with it. Where two or more of them agree on where
 //! it is now, that is where it is expected. One alone is not believed: it may have been moved.
 
-use super::{Track, Tracker};
+use super::{Track, Tracker, distance_m};
 use pseudoflow_geometry::Pose;
 use pseudoflow_msgs::{TrackPhase, TrackReason};
 
 /// Another instance, and where this one was in its frame.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Anchor {
-    object_id: u32,
-    instance: u32,
+    /// As [`Track::identity`].
+    identity: (u32, u32),
     anchor_from_object: Pose,
 }
 
@@ -22,14 +22,12 @@ impl Tracker {
     /// Remembers what was seen together at `stamp_ns`.
     pub(super) fn anchor(&mut self, stamp_ns: i64) {
         let seen = |t: &Track| t.active && t.stamp_ns == stamp_ns && t.bad == 0 && t.good > 0;
-        let together: Vec<(u32, u32, Pose)> =
-            self.tracks.iter().filter(|t| seen(t) && sound(t)).map(|t| (t.object_id, t.instance, t.pose)).collect();
+        let together: Vec<((u32, u32), Pose)> =
+            self.tracks.iter().filter(|t| seen(t) && sound(t)).map(|t| (t.identity(), t.pose)).collect();
         for track in self.tracks.iter_mut().filter(|t| seen(t)) {
-            let this = (track.object_id, track.instance);
-            let others = together.iter().filter(|(object, instance, _)| (*object, *instance) != this);
-            let anchors = others.map(|&(object_id, instance, camera_from_anchor)| Anchor {
-                object_id,
-                instance,
+            let others = together.iter().filter(|(identity, _)| *identity != track.identity());
+            let anchors = others.map(|&(identity, camera_from_anchor)| Anchor {
+                identity,
                 anchor_from_object: camera_from_anchor.inverse() * track.pose,
             });
             let anchors: Vec<Anchor> = anchors.collect();
@@ -43,8 +41,8 @@ impl Tracker {
     /// Where the objects around a track say that it is at `stamp_ns`; `None` unless two or more agree.
     pub(super) fn anchored(&self, track: &Track, stamp_ns: i64) -> Option<Pose> {
         let says = |anchor: &Anchor| {
-            let same = |t: &&Track| (t.object_id, t.instance) == (anchor.object_id, anchor.instance);
-            let there = self.tracks.iter().find(same).filter(|t| sound(t))?.predict(stamp_ns);
+            let there =
+                self.tracks.iter().find(|t| t.identity() == anchor.identity).filter(|t| sound(t))?.predict(stamp_ns);
             Some(there * anchor.anchor_from_object)
         };
         let poses: Vec<Pose> = track.anchors.iter().filter_map(says).collect();
@@ -62,8 +60,7 @@ impl Tracker {
     pub(super) fn remember(&mut self, stamp_ns: i64) {
         for i in 0..self.tracks.len() {
             let track = &self.tracks[i];
-            let active = self.tracks.iter().filter(|t| t.active && t.object_id == track.object_id).count();
-            if track.active || track.phase != TrackPhase::Lost || active >= self.max_instances {
+            if track.active || track.phase != TrackPhase::Lost || self.full(track.object_id) {
                 continue;
             }
             let Some(left) = self.anchored(track, stamp_ns) else { continue };
@@ -82,9 +79,8 @@ fn sound(track: &Track) -> bool {
 
 /// The pose that most others agree with, the nearest to them of equals; `None` where no two agree.
 fn agreed(poses: &[Pose], within_m: f64) -> Option<Pose> {
-    let away = |a: &Pose, b: &Pose| (a.translation.vector - b.translation.vector).norm();
     let support = |i: usize| {
-        let others = (0..poses.len()).filter(|j| *j != i).map(|j| away(&poses[i], &poses[j]));
+        let others = (0..poses.len()).filter(|j| *j != i).map(|j| distance_m(&poses[i], &poses[j]));
         others.filter(|m| *m <= within_m).fold((0_usize, 0.0), |(count, sum), m| (count + 1, sum + m))
     };
     let ranked = (0..poses.len()).map(|i| (support(i), i)).filter(|((count, _), _)| *count > 0);

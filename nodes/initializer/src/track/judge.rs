@@ -1,6 +1,6 @@
 //! What became of a frame: whether a track's pose can be believed, and what follows from it.
 
-use super::{Track, TrackConfig};
+use super::{Track, TrackConfig, distance_m};
 use nalgebra::Vector6;
 use pseudoflow_geometry::{Pose, pose_from_quaternion, rotation_angle_rad};
 use pseudoflow_msgs::{ObjectPose, PoseStatus, TrackPhase, TrackReason};
@@ -23,7 +23,7 @@ pub(super) fn judge(
         return Err(TrackReason::NotSeen);
     }
     let there = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).map_err(|_| TrackReason::NotSolved)?;
-    let jump = (there.translation.vector - expected.translation.vector).norm() / diameter_m;
+    let jump = distance_m(&there, expected) / diameter_m;
     let turn_deg = rotation_angle_rad(&there, expected).to_degrees();
     // A detection is rough: only what is tracked has an expected place.
     let jumped = !track.fresh && (jump > config.max_jump_diameters || turn_deg > config.max_turn_deg);
@@ -39,18 +39,20 @@ pub(super) fn good(track: &mut Track, there: Pose, score: f64, stamp_ns: i64, co
 }
 
 pub(super) fn bad(track: &mut Track, reason: TrackReason, pose: &ObjectPose, stamp_ns: i64, config: &TrackConfig) {
-    // What is not tracked yet and not quite believed is looked at once more; a detection from where its refinement ended.
     let (tracking, gone) = (track.phase == TrackPhase::Tracking, reason == TrackReason::LeftImage);
     let once_more = !tracking && track.bad == 0 && reason == TrackReason::NotSeen;
-    let there = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).ok();
     (track.good, track.bad, track.score) = (0, track.bad + 1, pose.score);
     track.velocity = Vector6::zeros();
     track.reason = reason;
-    match there.filter(|_| track.fresh) {
-        Some(there) if once_more => track.look_again(there, stamp_ns),
-        None if once_more => {}
-        _ if !tracking => track.stop(track.phase, reason),
-        _ if gone || track.bad >= config.lose_after => track.stop(TrackPhase::Lost, reason),
-        _ => {}
+    if once_more {
+        // What is not tracked yet and not quite believed gets a second look; a detection from where its refinement ended.
+        let there = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m);
+        if let (true, Ok(there)) = (track.fresh, there) {
+            track.start_from(there, Vec::new(), stamp_ns);
+        }
+    } else if !tracking {
+        track.stop(track.phase, reason);
+    } else if gone || track.bad >= config.lose_after {
+        track.stop(TrackPhase::Lost, reason);
     }
 }

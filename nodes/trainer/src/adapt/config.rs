@@ -107,9 +107,14 @@ fn yes() -> bool {
     true
 }
 
-/// Width and height of the teacher's crops unless they are given, pixels: where nano's labels agree with the true flow (tables
-/// in the README).
-pub const LABEL_PX: u32 = 256;
+/// Where nano's labels agree with the true flow, pixels (tables in the README).
+const LABEL_PX: u32 = 256;
+
+/// Width and height of the teacher's crops, pixels: as given, else [`LABEL_PX`], or those of the student where they are larger.
+#[must_use]
+pub fn label_px(given: Option<u32>, student_px: u32) -> u32 {
+    given.unwrap_or(student_px.max(LABEL_PX))
+}
 
 impl TrainerConfig {
     /// A training with the defaults.

@@ -17,7 +17,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 
-pub use config::{LABEL_PX, TrainerConfig};
+pub use config::{TrainerConfig, label_px};
 pub use node::TrainerNode;
 pub use photo::{PhotoLoss, PhotoSample, photo_loss};
 pub use sample::Sample;

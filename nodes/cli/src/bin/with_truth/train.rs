@@ -7,7 +7,7 @@ use pseudoflow_msgs::{
 use pseudoflow_player::{PlayerConfig, PlayerNode, Sampling};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node, Produced};
-use pseudoflow_trainer::adapt::{AdaptState, LABEL_PX, Sample, TrainerConfig};
+use pseudoflow_trainer::adapt::{AdaptState, Sample, TrainerConfig, label_px};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -63,7 +63,7 @@ pub(crate) struct Args {
 impl Args {
     /// As in `pseudoflow adapt`: the bound differs from it by its labels alone.
     fn label_px(&self) -> u32 {
-        self.label_size.unwrap_or(self.size.max(LABEL_PX))
+        label_px(self.label_size, self.size)
     }
 }
 
