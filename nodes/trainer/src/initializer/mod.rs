@@ -175,7 +175,7 @@ fn open(
         let log = RunLog::resumed(log_path, state.step())?;
         return Ok((state, log));
     }
-    let mut weights = start_weights(config, network)?;
+    let mut weights = start_weights(config, network, objects)?;
     weights.info.objects = objects.iter().map(|object| object.name.clone()).collect();
     weights.info.object_ids = objects.ids();
     let state = TrainState::new(network.clone(), TrainConfig::new(config.max_lr, config.steps), weights, &device)?;
@@ -186,10 +186,14 @@ fn open(
     Ok((state, RunLog::new(log_path)))
 }
 
-fn start_weights(config: &InitializerTraining, network: &DetectorConfig) -> Result<Weights, TrainerError> {
+fn start_weights(
+    config: &InitializerTraining,
+    network: &DetectorConfig,
+    objects: &ObjectSet,
+) -> Result<Weights, TrainerError> {
     Ok(match &config.warm_start {
         WarmStart::Random => Weights::random(network, config.seed),
-        WarmStart::File(path) => start_from_file(path, network, config.seed)?,
+        WarmStart::File(path) => start_from_file(path, network, objects, config.seed)?,
         WarmStart::Auto => {
             let raft = Weights::load(Path::new(SHIPPED_WEIGHTS), &NetworkConfig::small())?;
             Weights::detector_from_raft(network, &raft, config.seed)?
@@ -197,12 +201,22 @@ fn start_weights(config: &InitializerTraining, network: &DetectorConfig) -> Resu
     })
 }
 
-/// Weights of an initializer, or of a flow network of RAFT-small's shape, whose feature encoder is taken.
-fn start_from_file(path: &Path, network: &DetectorConfig, seed: u64) -> Result<Weights, TrainerError> {
-    match Weights::load(path, &NetworkConfig::small()) {
-        Ok(raft) => Ok(Weights::detector_from_raft(network, &raft, seed)?),
-        Err(_) => Ok(Weights::load(path, network)?),
+/// Weights of an initializer, which may know other objects, or of a flow network of RAFT-small's shape, whose feature encoder
+/// is taken.
+fn start_from_file(
+    path: &Path,
+    network: &DetectorConfig,
+    objects: &ObjectSet,
+    seed: u64,
+) -> Result<Weights, TrainerError> {
+    let info = Weights::read_info(path)?;
+    if info.object_ids.is_empty() {
+        let raft = Weights::load(path, &NetworkConfig::small())?;
+        return Ok(Weights::detector_from_raft(network, &raft, seed)?);
     }
+    let known = Weights::load(path, &DetectorConfig { objects: info.object_ids.len(), ..network.clone() })?;
+    let same = info.object_ids == objects.ids() && info.objects.iter().eq(objects.iter().map(|object| &object.name));
+    Ok(if same { known } else { Weights::detector_from_known(network, &known)? })
 }
 
 /// What decides the weights: the configuration without what may change on resuming.

@@ -23,7 +23,7 @@ use crate::loss::values;
 use crate::model::{Model, Parameter, Source, TensorSpec, fingerprint};
 use crate::raft::{Block, Conv, List, Norm, forward_normed, normed_conv};
 use crate::train::{StepStats, TrainState};
-use crate::weights::Weights;
+use crate::weights::{NamedTensor, Weights};
 use burn::tensor::{Device, Tensor, TensorData};
 
 /// The network with its weights on a device.
@@ -210,6 +210,41 @@ impl Weights {
         }
         Ok(weights)
     }
+}
+
+impl Weights {
+    /// Weights for other objects, from an initializer that finds some already: where things are and how large is the same
+    /// question for all objects, so most is taken as it is; what the network says of each object by itself starts as the mean
+    /// over those that `known` was trained for.
+    ///
+    /// # Errors
+    /// `known` has other widths.
+    pub fn detector_from_known(config: &DetectorConfig, known: &Self) -> Result<Self> {
+        let mut weights = Self::random(config, 0);
+        let old_objects = known.get("class.bias").map_or(1, |bias| bias.data.len().max(1));
+        for tensor in weights.tensors_mut() {
+            let by_object = ["class.", "corners.", "surface."].iter().any(|head| tensor.name.starts_with(head));
+            let (old, new) = if by_object { (old_objects, config.objects) } else { (1, 1) };
+            let fits = |found: &&NamedTensor| {
+                found.shape[1..] == tensor.shape[1..] && found.shape[0] * new == tensor.shape[0] * old
+            };
+            let found = known.get(&tensor.name).filter(fits).ok_or_else(|| NetworkError::WeightsMismatch {
+                origin: format!("weights of `{}`", known.info.network),
+                network: config.name.clone(),
+                tensor: tensor.name.clone(),
+                problem: "is missing or has other widths; only the number of objects may differ".into(),
+            })?;
+            let one = mean_of(&found.data, old);
+            tensor.data = one.repeat(new);
+        }
+        Ok(weights)
+    }
+}
+
+/// The mean of `parts` runs of values that lie one behind the other.
+fn mean_of(values: &[f32], parts: usize) -> Vec<f32> {
+    let length = values.len() / parts;
+    (0..length).map(|i| (0..parts).map(|part| values[part * length + i]).sum::<f32>() / parts as f32).collect()
 }
 
 /// What becomes of the trunk in a training step.

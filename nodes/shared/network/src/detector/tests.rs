@@ -168,3 +168,26 @@ fn the_trunk_starts_from_raft() {
     assert!(Weights::detector_from_raft(&config, &paper, 2).unwrap_err().to_string().contains("fnet."));
     assert!(DetectorConfig { input_px: [320, 240], ..config }.check().unwrap_err().to_string().contains("input_px"));
 }
+
+#[test]
+fn other_objects_start_from_an_initializer_that_knows_some() {
+    let (two, three) = (DetectorConfig { objects: 2, ..tiny() }, DetectorConfig { objects: 3, ..tiny() });
+    let known = Weights::random(&two, 4);
+    let weights = Weights::detector_from_known(&three, &known).unwrap();
+    let data = |weights: &Weights, name: &str| weights.get(name).unwrap().data.clone();
+    for name in ["trunk.conv1.weight", "stage2.1.conv1.weight", "tower.1.weight", "rectangle.weight"] {
+        assert_eq!(data(&weights, name), data(&known, name), "{name}");
+    }
+    for name in ["class.weight", "corners.weight", "surface.bias"] {
+        let (old, new) = (data(&known, name), data(&weights, name));
+        let (first, second) = old.split_at(old.len() / 2);
+        assert_eq!(new.len() / 3, first.len());
+        for (i, value) in new.iter().enumerate() {
+            let at = i % first.len();
+            assert!((value - (first[at] + second[at]) / 2.0).abs() < 1e-6, "{name} at {i}");
+        }
+    }
+    let wider = DetectorConfig { pyramid: 32, ..three };
+    let text = Weights::detector_from_known(&wider, &known).unwrap_err().to_string();
+    assert!(text.contains("only the number of objects may differ"), "{text}");
+}
