@@ -145,6 +145,22 @@ pub struct Match {
     pub similarity: f64,
 }
 
+/// What a first look at a place says.
+#[derive(Debug, Clone)]
+pub struct Glance {
+    detected: Rectangle,
+    /// The best first, each turned from the others.
+    views: Vec<Scored>,
+}
+
+impl Glance {
+    /// That of the best view, less what another width or height than was detected costs.
+    #[must_use]
+    pub fn similarity(&self) -> f64 {
+        self.views.first().map_or(0.0, |best| f64::from(best.similarity))
+    }
+}
+
 impl Comparer {
     /// Renders all objects from all sides and encodes what is seen.
     ///
@@ -165,7 +181,24 @@ impl Comparer {
         Ok(Self { coarse, fine, rasteriser, views: all, config: config.clone() })
     }
 
-    /// The views of an object that explain best what is seen where it was detected, the best first; at most
+    /// A first look at a place where an object may be: which of its views resemble what is there. Cheap, beside
+    /// [`Self::best`].
+    ///
+    /// # Errors
+    /// What the engine says.
+    pub fn glance(
+        &mut self,
+        image: &RgbImage,
+        object: &Object,
+        detected: &Rectangle,
+    ) -> Result<Glance, InitializerError> {
+        let crops = Crops::look(&mut self.coarse, image, (detected.middle_px, detected.side_px()), &SIZES)?;
+        let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
+        let views = apart(crops.score(known, Some(detected)), self.kept());
+        Ok(Glance { detected: *detected, views })
+    }
+
+    /// The views of an object that explain best what is seen at a place, the best first; at most
     /// [`CompareConfig::hypotheses`], each turned from the others.
     ///
     /// # Errors
@@ -175,9 +208,9 @@ impl Comparer {
         image: &RgbImage,
         camera: &Intrinsics,
         object: &Object,
-        detected: &Rectangle,
+        glance: &Glance,
     ) -> Result<Vec<Match>, InitializerError> {
-        let best = self.search(image, object, detected)?;
+        let best = self.polished(image, object, glance)?;
         let best = self.measured(image, object, best)?;
         let found = best.iter().filter_map(|scored| {
             let pose = placed(object, &scored.rotation, camera, scored.place)?;
@@ -186,18 +219,19 @@ impl Comparer {
         Ok(found.collect())
     }
 
-    /// The best views, roughly.
-    fn search(
+    /// Views that are carried along.
+    fn kept(&self) -> usize {
+        POLISHED.max(self.config.hypotheses as usize)
+    }
+
+    /// The views of a glance, turned to better ones between them.
+    fn polished(
         &mut self,
         image: &RgbImage,
         object: &Object,
-        detected: &Rectangle,
+        glance: &Glance,
     ) -> Result<Vec<Scored>, InitializerError> {
-        let crops = Crops::look(&mut self.coarse, image, (detected.middle_px, detected.side_px()), &SIZES)?;
-        let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
-        let wanted = self.config.hypotheses as usize;
-        let count = wanted.max(POLISHED);
-        let mut best = apart(crops.score(known, Some(detected)), count);
+        let (mut best, detected) = (glance.views.clone(), Some(&glance.detected));
         for step_deg in &self.config.steps_deg {
             let Some(first) = best.first() else { break };
             // Closer, where the best view has found the object.
@@ -205,9 +239,9 @@ impl Comparer {
             let around = best.iter().flat_map(|s| turned(&s.rotation, *step_deg));
             let around: Vec<UnitQuaternion<f64>> = best.iter().map(|s| s.rotation).chain(around).collect();
             let views = views(object, &around, &self.rasteriser, &mut self.coarse)?;
-            best = apart(crops.score(&views, Some(detected)), count);
+            best = apart(crops.score(&views, detected), self.kept());
         }
-        best.truncate(wanted);
+        best.truncate(self.config.hypotheses as usize);
         Ok(best)
     }
 

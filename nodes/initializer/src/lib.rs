@@ -9,13 +9,14 @@
 mod compare;
 pub mod detect;
 mod error;
+mod find;
 mod fit;
 mod network;
 mod node;
 pub mod track;
 pub mod votes;
 
-pub use compare::{CompareConfig, Comparer};
+pub use compare::{CompareConfig, Comparer, Glance, Match};
 pub use error::InitializerError;
 pub use fit::Fit;
 pub use network::{Answer, DetectorNetwork};

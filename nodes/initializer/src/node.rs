@@ -1,9 +1,9 @@
 use crate::InitializerError;
 use crate::compare::{CompareConfig, Comparer};
-use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle, detect, solve, suppress};
+use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle};
+use crate::find::Finder;
 use crate::network::DetectorNetwork;
 use crate::track::{Predicted, TrackConfig, Tracker};
-use crate::votes::{group, place, sureness, votes};
 use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
 use pseudoflow_imaging::{Object, ObjectSet, RgbImage};
 use pseudoflow_inference::EngineConfig;
@@ -11,7 +11,6 @@ use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus,
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
-use rand::Rng;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -59,10 +58,7 @@ impl InitializerConfig {
 
 /// Frames in, first poses out.
 pub struct InitializerNode {
-    config: InitializerConfig,
-    network: DetectorNetwork,
-    comparer: Option<Comparer>,
-    objects: ObjectSet,
+    finder: Finder,
     following: Option<Following>,
 }
 
@@ -124,7 +120,7 @@ impl InitializerNode {
         let expected = |object: &Object, there: &Rectangle| {
             tracker.is_some_and(|t| t.expects(object, there, &camera, key.stamp_ns))
         };
-        self.find(&image, &camera, &expected, &mut context.rng(key.index, "ransac"))
+        Ok(self.finder.find(&image, &camera, &expected, &mut context.rng(key.index, "ransac"))?)
     }
 
     /// Predictions for a frame, with a search of the image where the tracks want it. A frame that comes again gets what it
@@ -152,61 +148,6 @@ impl InitializerNode {
         let poses = predictions(&following.tracker.predict(key.stamp_ns));
         let image = (frame.header.scene_id, frame.header.image_id);
         Ok(Sent { key, image, searched, poses, statuses: following.tracker.statuses() })
-    }
-
-    /// The objects in an image, the surest first, but for those that are expected where they are seen.
-    fn find(
-        &mut self,
-        image: &RgbImage,
-        camera: &Intrinsics,
-        expected: &dyn Fn(&Object, &Rectangle) -> bool,
-        rng: &mut impl Rng,
-    ) -> Result<Vec<Detection>, NodeError> {
-        let fit = self.network.fit(image.width(), image.height());
-        let answer = self.network.run(&fit.input(image))?;
-        let groups = group(&votes(&answer, self.config.detect.min_vote as f32));
-        let (ids, seen_by) = (answer.object_ids, fit.intrinsics(camera));
-        let Some(comparer) = &mut self.comparer else {
-            return Ok(detect(&groups, ids, &self.objects, &seen_by, &self.config.detect, rng)?);
-        };
-        let config = &self.config.detect;
-        let mut found = Vec::new();
-        for votes in groups.iter().filter(|votes| votes.len() >= config.min_votes) {
-            let (score, object) = (sureness(votes), self.objects.get(ids[votes[0].class])?);
-            if score >= config.min_score {
-                let seen = place(votes);
-                let there = Rectangle {
-                    middle_px: fit.image_from_input(&seen.middle_px),
-                    size_px: seen.size_px * (camera.fx / seen_by.fx),
-                };
-                if expected(object, &there) {
-                    continue;
-                }
-                let views = comparer.best(image, camera, object, &there)?.into_iter().map(|m| Hypothesis {
-                    camera_from_object: m.camera_from_object,
-                    score: score * m.similarity.clamp(0.0, 1.0),
-                });
-                let mut poses: Vec<Hypothesis> = views.collect();
-                let Some(first) = poses.first().copied() else { continue };
-                // What the votes themselves say may be righter than any view, but is less often so.
-                poses.extend(
-                    solve(votes, object, &seen_by, config, rng)?.map(|d| Hypothesis {
-                        camera_from_object: d.camera_from_object,
-                        score: d.score.min(first.score),
-                    }),
-                );
-                found.push(Detection {
-                    object_id: object.id,
-                    camera_from_object: first.camera_from_object,
-                    score: first.score,
-                    centre_px: seen.middle_px,
-                    side_px: seen.side_px(),
-                    covariance: [0.0; 36],
-                    others: poses.split_off(1),
-                });
-            }
-        }
-        Ok(suppress(found, config.max_instances))
     }
 }
 
@@ -304,7 +245,7 @@ impl Node for InitializerNode {
             sent: VecDeque::new(),
             learned: None,
         });
-        Ok(Self { config, network, comparer, objects, following })
+        Ok(Self { finder: Finder { network, comparer, objects, config: config.detect }, following })
     }
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
