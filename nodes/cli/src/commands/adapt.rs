@@ -87,7 +87,7 @@ pub(crate) struct Args {
     /// Keeps the teacher of every n-th step, in the folder `teachers` of the training.
     #[arg(long)]
     keep_every: Option<u64>,
-    /// Uses this many frames of the recordings only.
+    /// Uses this many frames of the recordings only; an initializer then searches twice as many.
     #[arg(long)]
     budget_frames: Option<u64>,
     /// Every n-th frame is left out of the training and used to judge it.

@@ -46,7 +46,8 @@ pub(crate) struct Args {
     /// Seed of data and fresh weights.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Weights to start from; `random` for none. The default is RAFT-small as its authors trained it.
+    /// Weights to start from; `random` for none. The default is RAFT-small as its authors trained it (initializer: that of
+    /// this repository, which knows other objects; a flow network may be given too).
     #[arg(long)]
     warm_start: Option<PathBuf>,
     /// Goes on from the checkpoint.

@@ -24,7 +24,8 @@ pub struct InitializerTraining {
     pub max_lr: f64,
     /// Seed of data and fresh weights.
     pub seed: u64,
-    /// Weights to start from: by default the backbone of RAFT-small as its authors trained it.
+    /// Weights to start from: an initializer, also of other objects, or a flow network whose backbone is taken. By default the
+    /// initializer of this repository, or for networks of other widths RAFT-small as its authors trained it.
     pub warm_start: WarmStart,
     /// Share of the steps, from the first on, in which the trunk stays as it started: the steps are cheaper, and features of
     /// a trained flow network are good already.

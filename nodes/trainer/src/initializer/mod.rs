@@ -194,11 +194,18 @@ fn start_weights(
     Ok(match &config.warm_start {
         WarmStart::Random => Weights::random(network, config.seed),
         WarmStart::File(path) => start_from_file(path, network, objects, config.seed)?,
-        WarmStart::Auto => {
-            let raft = Weights::load(Path::new(SHIPPED_WEIGHTS), &NetworkConfig::small())?;
-            Weights::detector_from_raft(network, &raft, config.seed)?
-        }
+        WarmStart::Auto => start_from_file(Path::new(shipped_for(network)), network, objects, config.seed)?,
     })
+}
+
+/// The initializer that comes with this repository, for networks as wide as it.
+const SHIPPED_INITIALIZER: &str = "config/weights/initializer_tabletop.safetensors";
+
+/// The shipped weights that a network learns fastest from.
+fn shipped_for(network: &DetectorConfig) -> &'static str {
+    let nano = DetectorConfig::nano(network.objects);
+    let as_wide = (network.widths, network.pyramid) == (nano.widths, nano.pyramid);
+    if as_wide { SHIPPED_INITIALIZER } else { SHIPPED_WEIGHTS }
 }
 
 /// Weights of an initializer, which may know other objects, or of a flow network of RAFT-small's shape, whose feature encoder

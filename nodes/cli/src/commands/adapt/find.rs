@@ -27,7 +27,7 @@ pub(super) fn initializer(args: &Args) -> Option<&Path> {
     path.extension().is_some_and(|extension| extension == "safetensors").then_some(path)
 }
 
-/// Searches every frame and writes the poses that can be believed (a BOP result file). Done once for a training.
+/// Searches the frames and writes the poses that can be believed (a BOP result file). Done once for a training.
 pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf> {
     let file = folder.join(FOUND);
     if file.is_file() {
@@ -41,9 +41,10 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
     let (mut finder, mut refiner) = (Finder::open(config, args.seed)?, pipeline(args, &args.weights)?);
     let part = file.with_extension("csv.part");
     let mut writer = ResultsWriter::create(&part)?;
-    let bar = super::super::progress_bar(player.count() as u64, "finding");
+    let step = search_step(player.count() as u64, args.budget_frames, args.held_out_every) as usize;
+    let bar = super::super::progress_bar(player.count().div_ceil(step) as u64, "finding");
     let (mut found, mut kept, mut images) = (0, 0, BTreeSet::new());
-    for number in 0..player.count() {
+    for number in (0..player.count()).step_by(step) {
         let mut messages = InMemory::default();
         let produced = player.produce(number as u64, &mut messages, &context(args)).map_err(boxed)?;
         ensure!(matches!(produced, Produced::Frame(_)), "frame {number} could not be read");
@@ -73,6 +74,15 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
     ensure!(kept > 0, "nothing to adapt to: the initializer finds no object that flow and picture confirm");
     std::fs::rename(&part, &file)?;
     Ok(file)
+}
+
+/// Every how manieth frame is searched. All without a budget; with one, twice as many as it allows, for some show nothing that
+/// can be believed, and some are held out: the step meets those in turn.
+fn search_step(frames: u64, budget: Option<u64>, held_out_every: u64) -> u64 {
+    let most = budget.map_or(1, |budget| frames / (2 * budget.max(1))).max(1);
+    let coprime =
+        |step: &u64| !(2..=held_out_every).any(|d| step.is_multiple_of(d) && held_out_every.is_multiple_of(d));
+    (1..=most).rev().find(coprime).unwrap_or(1)
 }
 
 /// Of each instance the pose whose refinement flow and picture agree with best, if they agree at all.
@@ -117,4 +127,19 @@ fn estimate((scene_id, image_id): (u32, u32), pose: &ObjectPose) -> Result<Estim
         camera_from_object: pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m)?.into(),
         image_time_s: None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_budget_leaves_frames_out_but_not_only_those_that_are_held_out() {
+        assert_eq!(search_step(330, None, 5), 1);
+        assert_eq!(search_step(330, Some(200), 5), 1);
+        assert_eq!(search_step(330, Some(80), 5), 2);
+        // 5 and 10 would meet the same place of every five frames.
+        assert_eq!(search_step(1000, Some(100), 5), 4);
+        assert_eq!(search_step(1000, Some(50), 5), 9);
+    }
 }
