@@ -1,6 +1,6 @@
 //! From an image to detections: the network's votes, and where there is a comparer the views that resemble it.
 
-use crate::compare::{Comparer, Glance};
+use crate::compare::{Comparer, Glance, Match};
 use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle, detect, solve, suppress};
 use crate::network::DetectorNetwork;
 use crate::votes::{Vote, group, place, sureness, votes};
@@ -8,12 +8,13 @@ use crate::{Fit, InitializerError};
 use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::{Object, ObjectSet, RgbImage};
 use rand::Rng;
+use std::collections::BTreeMap;
 
 /// Places of an object that get a first look, the surest: a network that was trained little sees an object in many places.
 const GLANCES: usize = 12;
 /// So many more of them are compared than an object may have instances, which is dear: the most promising is not always the
 /// right one.
-const SPARE: usize = 1;
+const SPARE: usize = 2;
 
 /// Finds the objects of a set in images.
 pub(crate) struct Finder {
@@ -21,29 +22,6 @@ pub(crate) struct Finder {
     pub(crate) comparer: Option<Comparer>,
     pub(crate) objects: ObjectSet,
     pub(crate) config: DetectConfig,
-}
-
-/// An image and its camera.
-struct Seen<'a> {
-    image: &'a RgbImage,
-    camera: &'a Intrinsics,
-    fit: Fit,
-}
-
-/// Where an object may be.
-struct Place {
-    votes: Vec<Vote>,
-    glance: Glance,
-    /// How sure the votes are, times how similar the best view is.
-    promise: f64,
-}
-
-impl Seen<'_> {
-    /// A place of the input as one of the image.
-    fn in_image(&self, there: &Rectangle) -> Rectangle {
-        let pixels_of_image = self.camera.fx / self.fit.intrinsics(self.camera).fx;
-        Rectangle { middle_px: self.fit.image_from_input(&there.middle_px), size_px: there.size_px * pixels_of_image }
-    }
 }
 
 impl Finder {
@@ -59,75 +37,104 @@ impl Finder {
         expected: &dyn Fn(&Object, &Rectangle) -> bool,
         rng: &mut impl Rng,
     ) -> Result<Vec<Detection>, InitializerError> {
-        let seen = Seen { image, camera, fit: self.network.fit(image.width(), image.height()) };
-        let answer = self.network.run(&seen.fit.input(image))?;
+        let fit = self.network.fit(image.width(), image.height());
+        let answer = self.network.run(&fit.input(image))?;
         let groups = group(&votes(&answer, self.config.min_vote as f32));
-        let ids = answer.object_ids.to_vec();
-        if self.comparer.is_none() {
-            return detect(&groups, &ids, &self.objects, &seen.fit.intrinsics(camera), &self.config, rng);
-        }
-        let mut found = Vec::new();
-        let mut compared = vec![0; ids.len()];
-        for place in self.promising(&seen, groups, &ids, expected)? {
-            let count = &mut compared[place.votes[0].class];
+        let ids = answer.object_ids;
+        let Some(comparer) = &mut self.comparer else {
+            return detect(&groups, ids, &self.objects, &fit.intrinsics(camera), &self.config, rng);
+        };
+        let (objects, config) = (&self.objects, &self.config);
+        Search { comparer, objects, config, ids, image, camera, fit }.find(groups, expected, rng)
+    }
+}
+
+/// A search of one image for what resembles the views of the objects.
+struct Search<'a> {
+    comparer: &'a mut Comparer,
+    objects: &'a ObjectSet,
+    config: &'a DetectConfig,
+    /// Objects by class.
+    ids: &'a [u32],
+    image: &'a RgbImage,
+    camera: &'a Intrinsics,
+    fit: Fit,
+}
+
+/// Where an object may be.
+struct Place<'a> {
+    object: &'a Object,
+    votes: Vec<Vote>,
+    glance: Glance,
+}
+
+impl Place<'_> {
+    /// How sure the votes are, times how similar the best view is.
+    fn promise(&self) -> f64 {
+        sureness(&self.votes) * self.glance.similarity()
+    }
+}
+
+impl<'a> Search<'a> {
+    fn find(
+        mut self,
+        groups: Vec<Vec<Vote>>,
+        expected: &dyn Fn(&Object, &Rectangle) -> bool,
+        rng: &mut impl Rng,
+    ) -> Result<Vec<Detection>, InitializerError> {
+        let (mut found, mut compared) = (Vec::new(), BTreeMap::new());
+        for place in self.places(groups, expected)? {
+            let count = compared.entry(place.object.id).or_insert(0);
             if *count < self.config.max_instances + SPARE {
                 *count += 1;
-                found.extend(self.compare(&seen, ids[place.votes[0].class], &place, rng)?);
+                found.extend(self.compare(&place, rng)?);
             }
         }
         Ok(suppress(found, self.config.max_instances))
     }
 
     /// Where the objects may be, the most promising places first.
-    fn promising(
+    fn places(
         &mut self,
-        seen: &Seen<'_>,
         groups: Vec<Vec<Vote>>,
-        ids: &[u32],
         expected: &dyn Fn(&Object, &Rectangle) -> bool,
-    ) -> Result<Vec<Place>, InitializerError> {
-        let Some(comparer) = &mut self.comparer else { return Ok(Vec::new()) };
-        let (mut places, mut glances) = (Vec::new(), vec![0; ids.len()]);
-        for votes in sure_groups(groups, &self.config) {
-            let (class, there) = (votes[0].class, seen.in_image(&place(&votes)));
-            let object = self.objects.get(ids[class])?;
+    ) -> Result<Vec<Place<'a>>, InitializerError> {
+        let (mut places, mut glances) = (Vec::new(), vec![0; self.ids.len()]);
+        for votes in sure_groups(groups, self.config) {
+            let class = votes[0].class;
+            let (object, there) = (self.objects.get(self.ids[class])?, self.in_image(&place(&votes)));
             if glances[class] < GLANCES && !expected(object, &there) {
                 glances[class] += 1;
-                let glance = comparer.glance(seen.image, object, &there)?;
-                places.push(Place { promise: sureness(&votes) * glance.similarity(), votes, glance });
+                let glance = self.comparer.glance(self.image, object, &there)?;
+                places.push(Place { object, votes, glance });
             }
         }
-        places.sort_by(|a, b| b.promise.total_cmp(&a.promise));
+        places.sort_by(|a, b| b.promise().total_cmp(&a.promise()));
         Ok(places)
     }
 
-    /// The views that resemble best what is seen where votes say that an object is.
-    fn compare(
-        &mut self,
-        seen: &Seen<'_>,
-        object_id: u32,
-        candidate: &Place,
-        rng: &mut impl Rng,
-    ) -> Result<Option<Detection>, InitializerError> {
-        let Some(comparer) = &mut self.comparer else { return Ok(None) };
-        let votes = &candidate.votes;
-        let (object, score, there) = (self.objects.get(object_id)?, sureness(votes), place(votes));
-        let views = comparer.best(seen.image, seen.camera, object, &candidate.glance)?;
-        let mut poses: Vec<Hypothesis> = views
-            .into_iter()
-            .map(|m| Hypothesis {
-                camera_from_object: m.camera_from_object,
-                score: score * m.similarity.clamp(0.0, 1.0),
-            })
-            .collect();
+    /// A place of the input as one of the image.
+    fn in_image(&self, there: &Rectangle) -> Rectangle {
+        let pixels_of_image = self.camera.fx / self.fit.intrinsics(self.camera).fx;
+        Rectangle { middle_px: self.fit.image_from_input(&there.middle_px), size_px: there.size_px * pixels_of_image }
+    }
+
+    /// The views that resemble best what is seen at a place.
+    fn compare(&mut self, at: &Place<'_>, rng: &mut impl Rng) -> Result<Option<Detection>, InitializerError> {
+        let (score, there) = (sureness(&at.votes), place(&at.votes));
+        let best = self.comparer.best(self.image, self.camera, at.object, &at.glance)?;
+        let hypothesis = |m: Match| Hypothesis {
+            camera_from_object: m.camera_from_object,
+            score: score * m.similarity.clamp(0.0, 1.0),
+        };
+        let mut poses: Vec<Hypothesis> = best.into_iter().map(hypothesis).collect();
         let Some(first) = poses.first().copied() else { return Ok(None) };
         // What the votes themselves say may be righter than any view, but is less often so.
-        let voted = solve(votes, object, &seen.fit.intrinsics(seen.camera), &self.config, rng)?;
-        poses.extend(
-            voted.map(|d| Hypothesis { camera_from_object: d.camera_from_object, score: d.score.min(first.score) }),
-        );
+        let voted = solve(&at.votes, at.object, &self.fit.intrinsics(self.camera), self.config, rng)?;
+        let voted = voted.map(|d| (d.camera_from_object, d.score.min(first.score)));
+        poses.extend(voted.map(|(camera_from_object, score)| Hypothesis { camera_from_object, score }));
         Ok(Some(Detection {
-            object_id,
+            object_id: at.object.id,
             camera_from_object: first.camera_from_object,
             score: first.score,
             centre_px: there.middle_px,

@@ -61,6 +61,10 @@ fn the_most_similar_view_is_near_the_true_pose() {
             size_px: seen.size_px * (0.92 + 0.02 * i),
         };
         let glance = comparer.glance(&image, object, &rough).unwrap();
+        let beside = Rectangle { middle_px: rough.middle_px + 1.5 * Vector2::new(rough.side_px(), 0.0), ..rough };
+        // The first look ranks the places of an image.
+        let elsewhere = comparer.glance(&image, object, &beside).unwrap();
+        assert!(glance.similarity() > elsewhere.similarity(), "{glance:?} {elsewhere:?}");
         let best = comparer.best(&image, &K, object, &glance).unwrap()[0];
         away_m.push((best.camera_from_object.translation.vector - truth.translation.vector).norm());
         turns_deg.push(rotation_angle_rad(&best.camera_from_object, &truth).to_degrees());
