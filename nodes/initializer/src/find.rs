@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 const GLANCES: usize = 12;
 /// So many more of them are compared than an object may have instances, which is dear: the most promising is not always the
 /// right one.
-const SPARE: usize = 2;
+const SPARE: usize = 1;
 
 /// Finds the objects of a set in images.
 pub(crate) struct Finder {
