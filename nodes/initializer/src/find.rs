@@ -131,8 +131,9 @@ impl<'a> Search<'a> {
         let Some(first) = poses.first().copied() else { return Ok(None) };
         // What the votes themselves say may be righter than any view, but is less often so.
         let voted = solve(&at.votes, at.object, &self.fit.intrinsics(self.camera), self.config, rng)?;
-        let voted = voted.map(|d| (d.camera_from_object, d.score.min(first.score)));
-        poses.extend(voted.map(|(camera_from_object, score)| Hypothesis { camera_from_object, score }));
+        poses.extend(
+            voted.map(|d| Hypothesis { camera_from_object: d.camera_from_object, score: d.score.min(first.score) }),
+        );
         Ok(Some(Detection {
             object_id: at.object.id,
             camera_from_object: first.camera_from_object,

@@ -191,11 +191,12 @@ fn start_weights(
     network: &DetectorConfig,
     objects: &ObjectSet,
 ) -> Result<Weights, TrainerError> {
-    Ok(match &config.warm_start {
-        WarmStart::Random => Weights::random(network, config.seed),
-        WarmStart::File(path) => start_from_file(path, network, objects, config.seed)?,
-        WarmStart::Auto => start_from_file(Path::new(shipped_for(network)), network, objects, config.seed)?,
-    })
+    let path = match &config.warm_start {
+        WarmStart::Random => return Ok(Weights::random(network, config.seed)),
+        WarmStart::File(path) => path,
+        WarmStart::Auto => Path::new(shipped_for(network)),
+    };
+    start_from_file(path, network, objects, config.seed)
 }
 
 /// The initializer that comes with this repository, for networks as wide as it.

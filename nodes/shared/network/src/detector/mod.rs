@@ -23,7 +23,7 @@ use crate::loss::values;
 use crate::model::{Model, Parameter, Source, TensorSpec, fingerprint};
 use crate::raft::{Block, Conv, List, Norm, forward_normed, normed_conv};
 use crate::train::{StepStats, TrainState};
-use crate::weights::{NamedTensor, Weights};
+use crate::weights::{NamedTensor, Weights, WeightsInfo};
 use burn::tensor::{Device, Tensor, TensorData};
 
 /// The network with its weights on a device.
@@ -210,9 +210,7 @@ impl Weights {
         }
         Ok(weights)
     }
-}
 
-impl Weights {
     /// Weights for other objects, from an initializer that finds some already: where things are and how large is the same
     /// question for all objects, so most is taken as it is; what the network says of each object by itself starts as the mean
     /// over those that `known` was trained for.
@@ -220,24 +218,18 @@ impl Weights {
     /// # Errors
     /// `known` has other widths.
     pub fn detector_from_known(config: &DetectorConfig, known: &Self) -> Result<Self> {
-        let mut weights = Self::random(config, 0);
-        let old_objects = known.get("class.bias").map_or(1, |bias| bias.data.len().max(1));
-        for tensor in weights.tensors_mut() {
-            let by_object = ["class.", "corners.", "surface."].iter().any(|head| tensor.name.starts_with(head));
-            let (old, new) = if by_object { (old_objects, config.objects) } else { (1, 1) };
-            let fits = |found: &&NamedTensor| {
-                found.shape[1..] == tensor.shape[1..] && found.shape[0] * new == tensor.shape[0] * old
-            };
-            let found = known.get(&tensor.name).filter(fits).ok_or_else(|| NetworkError::WeightsMismatch {
-                origin: format!("weights of `{}`", known.info.network),
-                network: config.name.clone(),
-                tensor: tensor.name.clone(),
-                problem: "is missing or has other widths; only the number of objects may differ".into(),
-            })?;
-            let one = mean_of(&found.data, old);
-            tensor.data = one.repeat(new);
-        }
-        Ok(weights)
+        let objects = known.get("class.bias").map_or(1, |bias| bias.data.len().max(1));
+        let of_new_objects = |tensor: &NamedTensor| {
+            let mut tensor = tensor.clone();
+            if ["class.", "corners.", "surface."].iter().any(|head| tensor.name.starts_with(head)) {
+                tensor.shape[0] = tensor.shape[0] / objects * config.objects;
+                tensor.data = mean_of(&tensor.data, objects).repeat(config.objects);
+            }
+            (tensor.name.clone(), tensor)
+        };
+        let info = WeightsInfo { network: config.name.clone(), config_hash: config.hash(), ..WeightsInfo::default() };
+        let origin = format!("weights of `{}`, of which only the number of objects may differ", known.info.network);
+        Self::from_parts(info, known.tensors().iter().map(of_new_objects).collect(), config, &origin)
     }
 }
 
