@@ -54,6 +54,14 @@ pub enum TrainerError {
         /// This run's line.
         here: String,
     },
+    /// The weights that a training starts from by default are not where they are looked for.
+    #[error(
+        "{path}: no such file here; trainings start from weights of the pseudoflow repository: run in its folder, or give others (`--warm-start FILE`, `--warm-start random` for none)"
+    )]
+    NotShipped {
+        /// Where they are looked for.
+        path: PathBuf,
+    },
     /// A message that does not fit this training.
     #[error("{0}")]
     Message(String),

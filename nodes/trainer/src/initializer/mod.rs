@@ -13,7 +13,9 @@ pub use config::InitializerTraining;
 pub use preview::scene_sheet;
 
 use crate::TrainerError;
-use crate::pretrain::{Curve, Progress, Row, RunLog, SHIPPED_WEIGHTS, WarmStart, check_same_run, write_atomically};
+use crate::pretrain::{
+    Curve, Progress, Row, RunLog, SHIPPED_WEIGHTS, WarmStart, check_same_run, shipped, write_atomically,
+};
 use crate::synth::SceneGenerator;
 use data::{Prefetch, Source};
 use pseudoflow_imaging::ObjectSet;
@@ -193,10 +195,10 @@ fn start_weights(
 ) -> Result<Weights, TrainerError> {
     let path = match &config.warm_start {
         WarmStart::Random => return Ok(Weights::random(network, config.seed)),
-        WarmStart::File(path) => path,
-        WarmStart::Auto => Path::new(shipped_for(network)),
+        WarmStart::File(path) => path.clone(),
+        WarmStart::Auto => shipped(shipped_for(network))?,
     };
-    start_from_file(path, network, objects, config.seed)
+    start_from_file(&path, network, objects, config.seed)
 }
 
 /// The initializer that comes with this repository, for networks as wide as it.

@@ -70,6 +70,12 @@ pub enum WarmStart {
 /// RAFT-small as its authors trained it, relative to the repository.
 pub const SHIPPED_WEIGHTS: &str = "config/weights/raft_small.safetensors";
 
+/// Weights of this repository, which are looked for from the folder that the command runs in.
+pub(crate) fn shipped(path: &str) -> Result<PathBuf, TrainerError> {
+    let path = PathBuf::from(path);
+    if path.is_file() { Ok(path) } else { Err(TrainerError::NotShipped { path }) }
+}
+
 /// How often a crop size is used.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -156,12 +162,15 @@ impl PretrainConfig {
     }
 
     /// The weights file to start from, or `None` for random weights.
-    pub(super) fn start_weights(&self, network: &NetworkConfig) -> Option<PathBuf> {
-        match (&self.warm_start, network.arch) {
+    ///
+    /// # Errors
+    /// When the default is meant and not there.
+    pub(super) fn start_weights(&self, network: &NetworkConfig) -> Result<Option<PathBuf>, TrainerError> {
+        Ok(match (&self.warm_start, network.arch) {
             (WarmStart::File(path), _) => Some(path.clone()),
-            (WarmStart::Auto, Architecture::Small) => Some(PathBuf::from(SHIPPED_WEIGHTS)),
+            (WarmStart::Auto, Architecture::Small) => Some(shipped(SHIPPED_WEIGHTS)?),
             (WarmStart::Auto, Architecture::Basic) | (WarmStart::Random, _) => None,
-        }
+        })
     }
 
     /// The checkpoint's path.

@@ -10,8 +10,8 @@ mod progress;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use config::network_named;
 pub use config::{PretrainConfig, SHIPPED_WEIGHTS, SizeShare, WarmStart};
+pub(crate) use config::{network_named, shipped};
 pub use progress::{Progress, Silent, TerminalProgress};
 
 use crate::TrainerError;
@@ -163,7 +163,7 @@ fn open(
         let log = RunLog::resumed(log_path, state.step())?;
         return Ok((state, log));
     }
-    let mut weights = match config.start_weights(network) {
+    let mut weights = match config.start_weights(network)? {
         Some(path) => {
             ::log::info!("starting from {}", path.display());
             Weights::load(&path, network)?
