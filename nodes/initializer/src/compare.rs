@@ -5,111 +5,27 @@
 //! same surface. A view scores the mean cosine between its features and the crop's over the cells that show the object, at
 //! the best of a few shifts and sizes.
 
+mod config;
 mod crops;
 mod encoder;
+mod gaze;
 mod views;
+
+pub use config::CompareConfig;
+pub use gaze::Photograph;
 
 use crate::InitializerError;
 use crate::detect::Rectangle;
 use crops::{Crops, Scored};
 use encoder::Encoder;
-use nalgebra::{Point2, Translation3, UnitQuaternion, Vector3};
-use pseudoflow_geometry::{Intrinsics, Pose};
+use gaze::Gaze;
+use nalgebra::{Translation3, UnitQuaternion, Vector2, Vector3};
+use pseudoflow_geometry::Pose;
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
-use pseudoflow_imaging::{Object, ObjectSet, RgbImage};
+use pseudoflow_imaging::{Object, ObjectSet};
 use pseudoflow_inference::EngineConfig;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
-use views::{View, rotations, summit, views};
-
-/// How the views of an object are compared with an image.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct CompareConfig {
-    /// Weights of the flow network for the same objects (RAFT-small, `.safetensors`).
-    pub model: PathBuf,
-    /// Directions from which each object is rendered.
-    #[serde(default = "default_directions")]
-    pub directions: u32,
-    /// Turns about the line of sight for each direction.
-    #[serde(default = "default_turns")]
-    pub turns: u32,
-    /// Steps, in degrees, by which the best views are turned about each axis to find better ones between them.
-    #[serde(default = "default_steps_deg")]
-    pub steps_deg: Vec<f64>,
-    /// And to measure them at twice the resolution.
-    #[serde(default = "default_fine_steps_deg")]
-    pub fine_steps_deg: Vec<f64>,
-    /// Poses of an instance that are sent, the most similar first: the refiner tries them all, and pnp keeps the one that flow
-    /// and picture agree with best.
-    #[serde(default = "default_hypotheses")]
-    pub hypotheses: u32,
-}
-
-fn default_hypotheses() -> u32 {
-    4
-}
-
-fn default_steps_deg() -> Vec<f64> {
-    vec![14.0, 7.0]
-}
-
-fn default_fine_steps_deg() -> Vec<f64> {
-    vec![10.0, 5.0, 2.5]
-}
-
-fn default_directions() -> u32 {
-    64
-}
-
-fn default_turns() -> u32 {
-    12
-}
-
-impl CompareConfig {
-    /// The defaults for a flow network.
-    #[must_use]
-    pub fn new(model: PathBuf) -> Self {
-        Self {
-            model,
-            directions: default_directions(),
-            turns: default_turns(),
-            steps_deg: default_steps_deg(),
-            fine_steps_deg: default_fine_steps_deg(),
-            hypotheses: default_hypotheses(),
-        }
-    }
-
-    /// Checks the ranges.
-    ///
-    /// # Errors
-    /// Names the first setting out of range.
-    pub fn check(&self) -> Result<(), InitializerError> {
-        let count = |v: u32| (4..=1000).contains(&v);
-        let rules = [("compare.directions", self.directions), ("compare.turns", self.turns)];
-        match rules.into_iter().find(|(_, v)| !count(*v)) {
-            Some((field, v)) => Err(InitializerError::Setting { field, got: f64::from(v), wanted: "4 to 1000" }),
-            None if !(1..=20).contains(&self.hypotheses) => {
-                let got = f64::from(self.hypotheses);
-                Err(InitializerError::Setting { field: "compare.hypotheses", got, wanted: "1 to 20" })
-            }
-            None if !self.steps().all(|v| *v > 0.0 && *v <= 90.0) => {
-                let got = self.steps().copied().fold(0.0, f64::max);
-                Err(InitializerError::Setting { field: "compare.steps_deg", got, wanted: "numbers over 0, at most 90" })
-            }
-            None if !self.model.is_file() => {
-                Err(InitializerError::Model { path: self.model.clone(), cause: "no such file".into() })
-            }
-            None => Ok(()),
-        }
-    }
-
-    fn steps(&self) -> impl Iterator<Item = &f64> {
-        self.steps_deg.iter().chain(&self.fine_steps_deg)
-    }
-}
+use views::{UNIT, View, rotations, summit, views};
 
 /// Width and height of the crops in which an object is looked for from all sides, pixels.
 const COARSE_PX: u32 = 96;
@@ -148,7 +64,8 @@ pub struct Match {
 /// What a first look at a place says.
 #[derive(Debug, Clone)]
 pub struct Glance {
-    detected: Rectangle,
+    /// Width and height at unit distance.
+    detected: Vector2<f64>,
     /// The best first, each turned from the others.
     views: Vec<Scored>,
 }
@@ -174,7 +91,7 @@ impl Comparer {
         let mut all = BTreeMap::new();
         for object in objects.iter() {
             rasteriser.add_object(object.id, &object.mesh).map_err(|e| InitializerError::Render(e.to_string()))?;
-            all.insert(object.id, views(object, &rotations(object, config), &rasteriser, &mut coarse)?);
+            all.insert(object.id, views(object, &rotations(object, config), None, &rasteriser, &mut coarse)?);
         }
         let count: usize = all.values().map(Vec::len).sum();
         log::info!("{count} views of {} objects in {:.1} s", all.len(), start.elapsed().as_secs_f64());
@@ -188,14 +105,15 @@ impl Comparer {
     /// What the engine says.
     pub fn glance(
         &mut self,
-        image: &RgbImage,
+        photograph: &Photograph<'_>,
         object: &Object,
         detected: &Rectangle,
     ) -> Result<Glance, InitializerError> {
-        let crops = Crops::look(&mut self.coarse, image, (detected.middle_px, detected.side_px()), &SIZES)?;
+        let (gaze, detected) = Gaze::at(photograph.camera, detected);
+        let crops = Crops::look(&mut self.coarse, photograph, &gaze, &SIZES)?;
         let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
-        let views = apart(crops.score(known, Some(detected)), self.kept());
-        Ok(Glance { detected: *detected, views })
+        let views = apart(crops.score(known, Some(&detected)), self.kept());
+        Ok(Glance { detected, views })
     }
 
     /// The views of an object that explain best what is seen at a place, the best first; at most
@@ -205,15 +123,14 @@ impl Comparer {
     /// What the engine says.
     pub fn best(
         &mut self,
-        image: &RgbImage,
-        camera: &Intrinsics,
+        photograph: &Photograph<'_>,
         object: &Object,
         glance: &Glance,
     ) -> Result<Vec<Match>, InitializerError> {
-        let best = self.polished(image, object, glance)?;
-        let best = self.measured(image, object, best)?;
+        let best = self.polished(photograph, object, glance)?;
+        let best = self.measured(photograph, object, best)?;
         let found = best.iter().filter_map(|scored| {
-            let pose = placed(object, &scored.rotation, camera, scored.place)?;
+            let pose = placed(object, &scored.rotation, &scored.gaze)?;
             Some(Match { camera_from_object: pose, similarity: f64::from(scored.similarity) })
         });
         Ok(found.collect())
@@ -227,7 +144,7 @@ impl Comparer {
     /// The views of a glance, turned to better ones between them.
     fn polished(
         &mut self,
-        image: &RgbImage,
+        photograph: &Photograph<'_>,
         object: &Object,
         glance: &Glance,
     ) -> Result<Vec<Scored>, InitializerError> {
@@ -235,10 +152,10 @@ impl Comparer {
         for step_deg in &self.config.steps_deg {
             let Some(first) = best.first() else { break };
             // Closer, where the best view has found the object.
-            let crops = Crops::look(&mut self.coarse, image, first.place, &NEAR_SIZES)?;
+            let crops = Crops::look(&mut self.coarse, photograph, &first.gaze, &NEAR_SIZES)?;
             let around = best.iter().flat_map(|s| turned(&s.rotation, *step_deg));
             let around: Vec<UnitQuaternion<f64>> = best.iter().map(|s| s.rotation).chain(around).collect();
-            let views = views(object, &around, &self.rasteriser, &mut self.coarse)?;
+            let views = views(object, &around, Some(first.gaze.side), &self.rasteriser, &mut self.coarse)?;
             best = apart(crops.score(&views, detected), self.kept());
         }
         best.truncate(self.config.hypotheses as usize);
@@ -248,14 +165,14 @@ impl Comparer {
     /// The views at twice the resolution, the best first: all are measured once, and the better half of them again.
     fn measured(
         &mut self,
-        image: &RgbImage,
+        photograph: &Photograph<'_>,
         object: &Object,
         mut views: Vec<Scored>,
     ) -> Result<Vec<Scored>, InitializerError> {
         let mut count = views.len();
         for step_deg in self.config.fine_steps_deg.clone() {
             for view in &mut views[..count] {
-                *view = self.measure(image, object, view, step_deg)?;
+                *view = self.measure(photograph, object, view, step_deg)?;
             }
             views.sort_by(better_first);
             count = count.div_ceil(2);
@@ -266,15 +183,16 @@ impl Comparer {
     /// A view turned about each axis of the camera to where the similarity is highest between the steps.
     fn measure(
         &mut self,
-        image: &RgbImage,
+        photograph: &Photograph<'_>,
         object: &Object,
         rough: &Scored,
         step_deg: f64,
     ) -> Result<Scored, InitializerError> {
-        let crops = Crops::look(&mut self.fine, image, rough.place, &FINE_SIZES)?;
+        let crops = Crops::look(&mut self.fine, photograph, &rough.gaze, &FINE_SIZES)?;
         let around: Vec<UnitQuaternion<f64>> =
             std::iter::once(rough.rotation).chain(turned(&rough.rotation, step_deg)).collect();
-        let scores = crops.score(&views(object, &around, &self.rasteriser, &mut self.fine)?, None);
+        let views = views(object, &around, Some(rough.gaze.side), &self.rasteriser, &mut self.fine)?;
+        let scores = crops.score(&views, None);
         let similarity = |i: usize| scores[i].similarity;
         let along = |k: usize| match [similarity(2 * k + 2), similarity(0), similarity(2 * k + 1)] {
             [less, here, more] if here >= less && here >= more => summit([less, here, more]),
@@ -312,30 +230,21 @@ fn turned(rotation: &UnitQuaternion<f64>, step_deg: f64) -> Vec<UnitQuaternion<f
     axes.into_iter().flat_map(both).collect()
 }
 
-/// The pose at which an object, turned as in a view, fills a place of the image: middle and larger side of its projection.
-fn placed(
-    object: &Object,
-    view: &UnitQuaternion<f64>,
-    camera: &Intrinsics,
-    (at, side_px): (Point2<f64>, f64),
-) -> Option<Pose> {
-    let ray = camera.unproject(&at, 1.0).coords;
-    let to_ray = UnitQuaternion::rotation_between(&Vector3::z(), &ray)?;
-    let rotation = to_ray * view;
-    let mut z_m = camera.fx * object.diameter_m / side_px.max(1.0);
-    let mut at_px = at;
+/// The pose at which an object, turned as in a view, has its projection where a gaze is, as large.
+fn placed(object: &Object, view: &UnitQuaternion<f64>, gaze: &Gaze) -> Option<Pose> {
+    let centre = view * object.box_centre_m();
+    let mut middle = Vector3::new(0.0, 0.0, object.diameter_m / gaze.side);
     for _ in 0..6 {
-        let centre = rotation * object.box_centre_m();
-        let middle = camera.unproject(&at_px, z_m);
-        let pose = Pose::from_parts(Translation3::from(middle.coords - centre.coords), rotation);
-        let seen = crate::detect::extent(object, &pose, camera)?;
-        let larger = seen.side_px() / side_px;
-        if (seen.middle_px - at).norm() < 0.1 && (larger - 1.0).abs() < 0.002 {
-            return Some(pose);
+        let pose = Pose::from_parts(Translation3::from(middle - centre.coords), *view);
+        let seen = crate::detect::extent(object, &pose, &UNIT)?;
+        let larger = seen.side_px() / gaze.side;
+        let off = seen.middle_px.coords;
+        if off.norm() < 1e-3 * gaze.side && (larger - 1.0).abs() < 0.002 {
+            break;
         }
-        at_px += at - seen.middle_px;
-        z_m *= larger;
+        middle.z *= larger;
+        middle -= Vector3::new(off.x, off.y, 0.0) * middle.z;
     }
-    let centre = rotation * object.box_centre_m();
-    Some(Pose::from_parts(Translation3::from(camera.unproject(&at_px, z_m).coords - centre.coords), rotation))
+    let pose = Pose::from_parts(Translation3::from(middle - centre.coords), *view);
+    Some(Pose::from_parts(Translation3::identity(), gaze.camera_from_gaze) * pose)
 }

@@ -1,6 +1,6 @@
 //! From an image to detections: the network's votes, and where there is a comparer the views that resemble it.
 
-use crate::compare::{Comparer, Glance, Match};
+use crate::compare::{Comparer, Glance, Match, Photograph};
 use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle, detect, solve, suppress};
 use crate::network::DetectorNetwork;
 use crate::votes::{Vote, group, place, sureness, votes};
@@ -45,7 +45,8 @@ impl Finder {
             return detect(&groups, ids, &self.objects, &fit.intrinsics(camera), &self.config, rng);
         };
         let (objects, config) = (&self.objects, &self.config);
-        Search { comparer, objects, config, ids, image, camera, fit }.find(groups, expected, rng)
+        Search { comparer, objects, config, ids, photograph: Photograph { image, camera }, fit }
+            .find(groups, expected, rng)
     }
 }
 
@@ -56,8 +57,7 @@ struct Search<'a> {
     config: &'a DetectConfig,
     /// Objects by class.
     ids: &'a [u32],
-    image: &'a RgbImage,
-    camera: &'a Intrinsics,
+    photograph: Photograph<'a>,
     fit: Fit,
 }
 
@@ -105,7 +105,7 @@ impl<'a> Search<'a> {
             let (object, there) = (self.objects.get(self.ids[class])?, self.in_image(&place(&votes)));
             if glances[class] < GLANCES && !expected(object, &there) {
                 glances[class] += 1;
-                let glance = self.comparer.glance(self.image, object, &there)?;
+                let glance = self.comparer.glance(&self.photograph, object, &there)?;
                 places.push(Place { object, votes, glance });
             }
         }
@@ -115,14 +115,14 @@ impl<'a> Search<'a> {
 
     /// A place of the input as one of the image.
     fn in_image(&self, there: &Rectangle) -> Rectangle {
-        let pixels_of_image = self.camera.fx / self.fit.intrinsics(self.camera).fx;
+        let pixels_of_image = self.photograph.camera.fx / self.fit.intrinsics(self.photograph.camera).fx;
         Rectangle { middle_px: self.fit.image_from_input(&there.middle_px), size_px: there.size_px * pixels_of_image }
     }
 
     /// The views that resemble best what is seen at a place.
     fn compare(&mut self, at: &Place<'_>, rng: &mut impl Rng) -> Result<Option<Detection>, InitializerError> {
         let (score, there) = (sureness(&at.votes), place(&at.votes));
-        let best = self.comparer.best(self.image, self.camera, at.object, &at.glance)?;
+        let best = self.comparer.best(&self.photograph, at.object, &at.glance)?;
         let hypothesis = |m: Match| Hypothesis {
             camera_from_object: m.camera_from_object,
             score: score * m.similarity.clamp(0.0, 1.0),
@@ -130,7 +130,7 @@ impl<'a> Search<'a> {
         let mut poses: Vec<Hypothesis> = best.into_iter().map(hypothesis).collect();
         let Some(first) = poses.first().copied() else { return Ok(None) };
         // What the votes themselves say may be righter than any view, but is less often so.
-        let voted = solve(&at.votes, at.object, &self.fit.intrinsics(self.camera), self.config, rng)?;
+        let voted = solve(&at.votes, at.object, &self.fit.intrinsics(self.photograph.camera), self.config, rng)?;
         poses.extend(
             voted.map(|d| Hypothesis { camera_from_object: d.camera_from_object, score: d.score.min(first.score) }),
         );

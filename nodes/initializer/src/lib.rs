@@ -16,7 +16,7 @@ mod node;
 pub mod track;
 pub mod votes;
 
-pub use compare::{CompareConfig, Comparer, Glance, Match};
+pub use compare::{CompareConfig, Comparer, Glance, Match, Photograph};
 pub use error::InitializerError;
 pub use fit::Fit;
 pub use network::{Answer, DetectorNetwork};

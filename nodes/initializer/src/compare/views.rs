@@ -5,14 +5,14 @@ use super::crops::MARGIN;
 use super::encoder::{CELL_PX, Encoder};
 use crate::InitializerError;
 use crate::detect::Rectangle;
-use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::Object;
 use pseudoflow_imaging::raster::{Rasteriser, View as Rendered};
 
 /// An object seen from one side.
 pub(super) struct View {
-    /// `camera_from_object`, for an object on the optical axis.
+    /// `gaze_from_object`: the object is on the optical axis.
     pub(super) rotation: UnitQuaternion<f64>,
     /// Width and height of the projection, over the larger of them.
     pub(super) shape: Vector2<f64>,
@@ -31,8 +31,10 @@ const ACROSS: usize = 2 * SHIFT as usize + 1;
 const LEAST_COVER: f64 = 0.6;
 /// Views are encoded so many at a time.
 const BATCH: usize = 32;
-/// Distance of the camera, diameters: objects on a table.
+/// Distance of the camera where it is not known, diameters: objects on a table.
 const DISTANCE: f64 = 4.0;
+/// Distances that are believed, diameters.
+const DISTANCES: (f64, f64) = (1.0, 50.0);
 
 impl View {
     /// Mean cosine with the features of a crop (across^2 x channels) at the best of the whole shifts, and where the best shift
@@ -81,10 +83,11 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     sums.iter().sum()
 }
 
-/// Renders and encodes an object, turned in these ways.
+/// Renders and encodes an object, turned in these ways, from where its projection has this larger side (unit distance).
 pub(super) fn views(
     object: &Object,
     rotations: &[UnitQuaternion<f64>],
+    side: Option<f64>,
     rasteriser: &dyn Rasteriser,
     encoder: &mut Encoder,
 ) -> Result<Vec<View>, InitializerError> {
@@ -93,7 +96,7 @@ pub(super) fn views(
     let mut views = Vec::with_capacity(rotations.len());
     for batch in rotations.chunks(BATCH) {
         let (asked, shapes): (Vec<Rendered>, Vec<_>) =
-            batch.iter().map(|rotation| seen(object, rotation, size_px)).unzip();
+            batch.iter().map(|rotation| seen(object, rotation, side, size_px)).unzip();
         let renderings = rasteriser.render(&asked).map_err(failed)?;
         let rgb: Vec<u8> = renderings.iter().flat_map(|r| r.rgb.as_raw().iter().copied()).collect();
         let features = encoder.encode(&rgb)?;
@@ -111,13 +114,12 @@ pub(super) fn views(
 
 /// The object on the optical axis, its projection filling the crop but for the margin, and width and height of the projection
 /// over the larger of them.
-fn seen(object: &Object, rotation: &UnitQuaternion<f64>, size_px: u32) -> (Rendered, Vector2<f64>) {
-    let centre = rotation * object.box_centre_m();
-    let middle = Point3::new(0.0, 0.0, DISTANCE * object.diameter_m);
-    let pose = Pose::from_parts(Translation3::from(middle - centre), *rotation);
-    let one = Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
-    let nowhere = || Rectangle { middle_px: Point2::origin(), size_px: Vector2::repeat(0.3) };
-    let at = crate::detect::extent(object, &pose, &one).unwrap_or_else(nowhere);
+fn seen(object: &Object, rotation: &UnitQuaternion<f64>, side: Option<f64>, size_px: u32) -> (Rendered, Vector2<f64>) {
+    let (mut pose, mut at) = from_distance(object, rotation, DISTANCE);
+    if let Some(side) = side {
+        let distance = DISTANCE * at.side_px() / side;
+        (pose, at) = from_distance(object, rotation, distance.clamp(DISTANCES.0, DISTANCES.1));
+    }
     let focal = f64::from(size_px) / MARGIN / at.side_px();
     let half = (f64::from(size_px) - 1.0) / 2.0;
     let [cx, cy] = [half - focal * at.middle_px.x, half - focal * at.middle_px.y];
@@ -126,6 +128,17 @@ fn seen(object: &Object, rotation: &UnitQuaternion<f64>, size_px: u32) -> (Rende
         Rendered { object_id: object.id, camera_from_object: pose, intrinsics, width: size_px, height: size_px };
     (rendered, at.size_px / at.side_px())
 }
+
+/// The pose of an object so many diameters away, and its projection at unit distance.
+fn from_distance(object: &Object, rotation: &UnitQuaternion<f64>, distance: f64) -> (Pose, Rectangle) {
+    let middle = Vector3::new(0.0, 0.0, distance * object.diameter_m);
+    let pose = Pose::from_parts(Translation3::from(middle - (rotation * object.box_centre_m()).coords), *rotation);
+    let nowhere = || Rectangle { middle_px: Point2::origin(), size_px: Vector2::repeat(0.3) };
+    (pose, crate::detect::extent(object, &pose, &UNIT).unwrap_or_else(nowhere))
+}
+
+/// A camera whose pixels are lengths at unit distance.
+pub(super) const UNIT: Intrinsics = Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
 
 /// Cells that are mostly of the object.
 fn covered(mask: &[u8], across: usize) -> Vec<[i32; 2]> {
