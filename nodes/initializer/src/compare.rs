@@ -38,8 +38,8 @@ const SIZES: [f64; 4] = [0.9, 1.07, 1.27, 1.51];
 const NEAR_SIZES: [f64; 3] = [0.92, 1.0, 1.087];
 /// And at the end.
 const FINE_SIZES: [f64; 3] = [0.96, 1.0, 1.042];
-/// So many different views are turned to find better ones.
-const POLISHED: usize = 3;
+/// At least so many different views are turned to find better ones, and measured.
+const POLISHED: usize = 5;
 /// Views that are turned less from each other than this count as one, radians.
 const APART_RAD: f64 = 0.45;
 
@@ -158,7 +158,6 @@ impl Comparer {
             let views = views(object, &around, Some(first.gaze.side), &self.rasteriser, &mut self.coarse)?;
             best = apart(crops.score(&views, detected), self.kept());
         }
-        best.truncate(self.config.hypotheses as usize);
         Ok(best)
     }
 
@@ -177,6 +176,7 @@ impl Comparer {
             views.sort_by(better_first);
             count = count.div_ceil(2);
         }
+        views.truncate(self.config.hypotheses as usize);
         Ok(views)
     }
 
