@@ -83,7 +83,8 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     sums.iter().sum()
 }
 
-/// Renders and encodes an object, turned in these ways, from where its projection has this larger side (unit distance).
+/// Renders and encodes an object, turned in these ways, from where its projection has this larger side at unit distance: near
+/// things show other surfaces. Where it is not known, from [`DISTANCE`].
 pub(super) fn views(
     object: &Object,
     rotations: &[UnitQuaternion<f64>],
