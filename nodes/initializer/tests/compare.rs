@@ -40,9 +40,9 @@ fn place(object: &Object, pose: &Pose, camera: &Intrinsics) -> Rectangle {
     Rectangle { middle_px, size_px: Vector2::new(x.1 - x.0, y.1 - y.0) }
 }
 
-/// Median errors of the most similar views of the cracker box, nine times turned, with middles from here to there: degrees
-/// and metres.
-fn median_errors(camera: &Intrinsics, from_m: Vector3<f64>, to_m: Vector3<f64>) -> (f64, f64) {
+/// Errors of the most similar views of the cracker box, nine times turned, with middles from here to there: degrees and
+/// metres, the smallest first.
+fn errors(camera: &Intrinsics, from_m: Vector3<f64>, to_m: Vector3<f64>) -> (Vec<f64>, Vec<f64>) {
     let objects = ObjectSet::load(&config("objects/tabletop")).unwrap();
     let engine = EngineConfig { backend: Backend::Rten, ..EngineConfig::default() };
     let model = CompareConfig::new(config("weights/nano_tabletop.safetensors"));
@@ -75,23 +75,22 @@ fn median_errors(camera: &Intrinsics, from_m: Vector3<f64>, to_m: Vector3<f64>) 
     }
     turns_deg.sort_by(f64::total_cmp);
     away_m.sort_by(f64::total_cmp);
-    println!("{turns_deg:.1?} deg {away_m:.3?} m");
-    (turns_deg[4], away_m[4])
+    (turns_deg, away_m)
 }
 
 #[test]
 fn the_most_similar_view_is_near_the_true_pose() {
-    let (turn_deg, away_m) = median_errors(&NARROW, Vector3::new(-0.1, 0.05, 0.9), Vector3::new(0.14, 0.05, 0.9));
+    let (turns_deg, away_m) = errors(&NARROW, Vector3::new(-0.1, 0.05, 0.9), Vector3::new(0.14, 0.05, 0.9));
     // The rendered views are 20 to 30 degrees apart, the last steps between them 2.5. A place that is up to 8 % too small or too
     // large is, at 0.9 m, up to 7 cm of depth.
-    assert!(turn_deg < 8.0 && away_m < 0.02, "{turn_deg} deg, {away_m} m");
+    assert!(turns_deg[4] < 8.0 && away_m[4] < 0.02, "{turns_deg:?} deg, {away_m:?} m");
 }
 
 #[test]
 fn a_wide_lens_seen_from_near_and_off_its_middle_is_no_harder() {
-    // 1.7 diameters away and 35 to 40 degrees off the axis.
-    let (turn_deg, away_m) = median_errors(&WIDE, Vector3::new(0.31, -0.1, 0.45), Vector3::new(0.33, 0.1, 0.45));
-    assert!(turn_deg < 8.0 && away_m < 0.02, "{turn_deg} deg, {away_m} m");
+    // 2 diameters away and 35 to 37 degrees off the axis. Cut from the image as it is, the median was 14 degrees and 6 cm.
+    let (turns_deg, away_m) = errors(&WIDE, Vector3::new(0.31, -0.1, 0.45), Vector3::new(0.33, 0.1, 0.45));
+    assert!(turns_deg[4] < 8.0 && away_m[4] < 0.02, "{turns_deg:?} deg, {away_m:?} m");
 }
 
 #[test]
