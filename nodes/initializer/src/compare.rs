@@ -25,7 +25,7 @@ use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
 use pseudoflow_imaging::{Object, ObjectSet};
 use pseudoflow_inference::EngineConfig;
 use std::collections::BTreeMap;
-use views::{UNIT, View, rotations, summit, views};
+use views::{UNIT, View, centred, rotations, summit, views};
 
 /// Width and height of the crops in which an object is looked for from all sides, pixels.
 const COARSE_PX: u32 = 96;
@@ -232,19 +232,16 @@ fn turned(rotation: &UnitQuaternion<f64>, step_deg: f64) -> Vec<UnitQuaternion<f
 
 /// The pose at which an object, turned as in a view, has its projection where a gaze is, as large.
 fn placed(object: &Object, view: &UnitQuaternion<f64>, gaze: &Gaze) -> Option<Pose> {
-    let centre = view * object.box_centre_m();
-    let mut middle = Vector3::new(0.0, 0.0, object.diameter_m / gaze.side);
+    let mut middle_m = Vector3::new(0.0, 0.0, object.diameter_m / gaze.side);
     for _ in 0..6 {
-        let pose = Pose::from_parts(Translation3::from(middle - centre.coords), *view);
-        let seen = crate::detect::extent(object, &pose, &UNIT)?;
+        let seen = crate::detect::extent(object, &centred(object, view, middle_m), &UNIT)?;
         let larger = seen.side_px() / gaze.side;
         let off = seen.middle_px.coords;
         if off.norm() < 1e-3 * gaze.side && (larger - 1.0).abs() < 0.002 {
             break;
         }
-        middle.z *= larger;
-        middle -= Vector3::new(off.x, off.y, 0.0) * middle.z;
+        middle_m.z *= larger;
+        middle_m -= Vector3::new(off.x, off.y, 0.0) * middle_m.z;
     }
-    let pose = Pose::from_parts(Translation3::from(middle - centre.coords), *view);
-    Some(Pose::from_parts(Translation3::identity(), gaze.camera_from_gaze) * pose)
+    Some(Pose::from_parts(Translation3::identity(), gaze.camera_from_gaze) * centred(object, view, middle_m))
 }

@@ -132,10 +132,14 @@ fn seen(object: &Object, rotation: &UnitQuaternion<f64>, side: Option<f64>, size
 
 /// The pose of an object so many diameters away, and its projection at unit distance.
 fn from_distance(object: &Object, rotation: &UnitQuaternion<f64>, distance: f64) -> (Pose, Rectangle) {
-    let middle = Vector3::new(0.0, 0.0, distance * object.diameter_m);
-    let pose = Pose::from_parts(Translation3::from(middle - (rotation * object.box_centre_m()).coords), *rotation);
+    let pose = centred(object, rotation, Vector3::new(0.0, 0.0, distance * object.diameter_m));
     let nowhere = || Rectangle { middle_px: Point2::origin(), size_px: Vector2::repeat(0.3) };
     (pose, crate::detect::extent(object, &pose, &UNIT).unwrap_or_else(nowhere))
+}
+
+/// The pose of an object so turned, the middle of its box at a place before the camera, metres.
+pub(super) fn centred(object: &Object, rotation: &UnitQuaternion<f64>, middle_m: Vector3<f64>) -> Pose {
+    Pose::from_parts(Translation3::from(middle_m - (rotation * object.box_centre_m()).coords), *rotation)
 }
 
 /// A camera whose pixels are lengths at unit distance.
