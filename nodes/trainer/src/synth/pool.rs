@@ -1,7 +1,9 @@
 //! The objects of a training: those of several BOP `models/` folders together.
 
 use crate::TrainerError;
-use pseudoflow_imaging::{Object, ObjectSet};
+use pseudoflow_imaging::raster::openness;
+use pseudoflow_imaging::{Mesh, Object, ObjectSet};
+use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -34,7 +36,8 @@ impl ObjectPool {
     /// The objects of sets that are loaded.
     #[must_use]
     pub fn of_sets(sets: &[ObjectSet]) -> Self {
-        let objects = sets.iter().flat_map(ObjectSet::iter).cloned().map(Arc::new).collect();
+        let objects: Vec<&Object> = sets.iter().flat_map(ObjectSet::iter).collect();
+        let objects = objects.par_iter().map(|object| Arc::new(with_openness((*object).clone()))).collect();
         // One set keeps its names; of several, each name says where it comes from.
         let folder = |set: &ObjectSet| set.folder().iter().rev().take(2).collect::<PathBuf>();
         let name = |set: &ObjectSet, object: &Object| match sets.len() {
@@ -71,4 +74,13 @@ impl ObjectPool {
     pub fn names(&self) -> &[String] {
         &self.names
     }
+}
+
+/// Directions in which a mesh's own occlusion is looked for.
+const DIRECTIONS: usize = 48;
+
+/// The object with the openness of its mesh.
+pub(super) fn with_openness(object: Object) -> Object {
+    let openness = openness(&object.mesh, DIRECTIONS);
+    Object { mesh: Arc::new(Mesh { openness, ..Mesh::clone(&object.mesh) }), ..object }
 }
