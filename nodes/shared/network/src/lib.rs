@@ -10,6 +10,7 @@ mod onnx;
 pub mod ops;
 mod optim;
 mod raft;
+mod refiner;
 mod train;
 mod weights;
 
@@ -22,8 +23,11 @@ pub use detector::{
 pub use error::{NetworkError, Result};
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
 pub use model::{Init, Model, Parameter, TensorSpec};
-pub use onnx::{ExportOptions, export_detector, export_features, export_onnx};
+pub use onnx::{ExportOptions, export_detector, export_features, export_onnx, export_refiner};
 pub use optim::{AdamWConfig, OneCycle};
 pub use raft::Raft;
+pub use refiner::{
+    DeviceRefinerBatch, REFERENCE_CHANNELS, Refinement, Refiner, RefinerBatch, RefinerConfig, reference_geometry,
+};
 pub use train::{ExtraLoss, StepStats, TrainConfig, TrainState};
 pub use weights::{NamedTensor, Weights, WeightsInfo};

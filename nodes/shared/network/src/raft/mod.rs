@@ -12,6 +12,7 @@ mod update;
 mod upsample;
 
 pub(crate) use conv::Conv;
+pub(crate) use correlation::{Pyramid, grid};
 pub(crate) use encoder::{Block, Norm, forward_normed, normed_conv};
 pub(crate) use layout::{LEVELS, List};
 
@@ -21,7 +22,6 @@ use crate::model::{Model, Parameter, Source};
 use crate::ops;
 use crate::weights::Weights;
 use burn::tensor::{Device, Tensor, TensorData, activation};
-use correlation::Pyramid;
 use encoder::Encoder;
 use update::UpdateBlock;
 
@@ -121,7 +121,7 @@ impl Raft {
     fn pyramid(&self, reference: Tensor<4>, real: Tensor<4>) -> Pyramid {
         let n = reference.dims()[0];
         let both = self.feature_encoder.forward(Tensor::cat(vec![reference, real], 0));
-        Pyramid::new(both.clone().narrow(0, 0, n), both.narrow(0, n, n), self.arch.widths().radius)
+        Pyramid::new(both.clone().narrow(0, 0, n), both.narrow(0, n, n), self.arch.widths().radius, LEVELS)
     }
 
     /// First hidden state and context of the reference.

@@ -1,0 +1,52 @@
+//! The refiner's loss on synthetic pairs.
+
+use super::{Refinement, RefinerBatch, RefinerConfig};
+use crate::error::Result;
+use crate::loss::{end_point_error, values};
+use crate::ops;
+use crate::refiner::batch::DeviceRefinerBatch;
+use crate::train::{StepStats, TrainState};
+use burn::tensor::Tensor;
+
+/// Weight of the visibility's cross entropy in the loss.
+const VISIBILITY_WEIGHT: f32 = 1.0;
+/// Weight of the coarse flows' L1 distance, px at full size, in the loss.
+const COARSE_WEIGHT: f32 = 0.5;
+
+/// [`crate::ops::mixture_loss`] of the prediction plus the L1 distance of the first flow and of each iteration's, px of the
+/// crop, the later the weightier (`gamma`).
+pub(crate) fn refiner_loss(refinement: &Refinement, batch: &DeviceRefinerBatch, gamma: f32) -> Tensor<1> {
+    let last = refinement.coarse.len();
+    let coarse = refinement.coarse.iter().enumerate().map(|(k, flow)| {
+        let weight = COARSE_WEIGHT * gamma.powi((last - k) as i32) * 8.0 / batch.coarse_sum;
+        ops::masked_l1(flow.clone(), batch.coarse_flow.clone(), batch.coarse_weight.clone()) * weight
+    });
+    let fine = ops::mixture_loss(refinement.prediction.clone(), batch.target.clone(), VISIBILITY_WEIGHT);
+    coarse.fold(fine, |sum, term| sum + term)
+}
+
+impl TrainState<RefinerConfig> {
+    /// One step on synthetic pairs of side [`RefinerConfig::size_px`]. `epe` of the returned is over what is seen.
+    ///
+    /// # Errors
+    /// The batch has wrong lengths or values, or loss or gradient are not finite: the weights then stay as they were.
+    pub fn train_step(&mut self, batch: &RefinerBatch<'_>) -> Result<StepStats> {
+        let data = batch.to_device(self.network.size_px, &self.device().autodiff())?;
+        let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
+        let mut epe = f32::NAN;
+        let mut stats = self.step_with(|refiner| {
+            let refinement = refiner.forward(data.reference.clone(), data.real.clone(), iterations);
+            epe = visible_error(&refinement, &data, batch.n);
+            refiner_loss(&refinement, &data, gamma)
+        })?;
+        stats.epe = epe;
+        Ok(stats)
+    }
+}
+
+/// Mean end point error of the prediction over what is seen, px.
+fn visible_error(refinement: &Refinement, data: &DeviceRefinerBatch, n: usize) -> f32 {
+    let flow = values(refinement.prediction.clone().narrow(1, 0, 2));
+    let (truth, mask) = (data.target.clone().narrow(1, 0, 2), data.target.clone().narrow(1, 2, 1));
+    end_point_error(&flow, &values(truth), &values(mask), n)
+}
