@@ -164,9 +164,10 @@ impl Kernel for ConvexUpsample {
         let each = NEIGHBOURS * FINE * h * w;
         let outputs = dx.data.par_chunks_mut(c * h * w).zip(dlogits.data.par_chunks_mut(each));
         let inputs = x.data.par_chunks(c * h * w).zip(call.kept.par_chunks(each));
-        outputs.zip(inputs).zip(call.grad.par_chunks(c * FINE * h * w)).for_each(
-            |(((dx, dlogits), (x, weights)), grad)| backward_image(x, [h, w], weights, grad, dx, dlogits),
-        );
+        outputs
+            .zip(inputs)
+            .zip(call.grad.par_chunks(c * FINE * h * w))
+            .for_each(|(((dx, dlogits), (x, weights)), grad)| backward_image(x, [h, w], weights, grad, dx, dlogits));
         vec![Some(dx), Some(dlogits)]
     }
 }

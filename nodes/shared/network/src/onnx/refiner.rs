@@ -47,7 +47,8 @@ struct Features {
 
 impl Export<'_> {
     fn refiner(&mut self, reference: &str, real: &str, iterations: usize) -> [String; 2] {
-        let [reference, real] = [("reference", reference), ("real", real)].map(|(name, x)| self.refiner_features(name, x));
+        let [reference, real] =
+            [("reference", reference), ("real", real)].map(|(name, x)| self.refiner_features(name, x));
         let [rows, columns] = [&reference, &real].map(|f| self.plain_conv(&f.fine, "match.fine"));
         let levels = self.correlation(&rows, columns, WIDTHS.matching, LEVELS);
         let (first, global) = self.global_look(&reference.coarse, &real.coarse);
@@ -82,9 +83,11 @@ impl Export<'_> {
         for stage in 1..4 {
             let down = self.normed(&x, &format!("trunk.{stage}.down"), "", 2, true);
             let down = self.graph.relu(&down);
-            let y = self.normed(&down, &format!("trunk.{stage}.first"), "", 1, true);
-            let y = self.graph.relu(&y);
-            let y = self.normed(&y, &format!("trunk.{stage}.second"), "", 1, true);
+            let mut y = self.normed(&down, &format!("trunk.{stage}.first"), "", 1, true);
+            if stage > 1 {
+                let first = self.graph.relu(&y);
+                y = self.normed(&first, &format!("trunk.{stage}.second"), "", 1, true);
+            }
             let sum = self.graph.op("Add", &[&down, &y], &[]);
             x = self.graph.relu(&sum);
             levels.push(x.clone());

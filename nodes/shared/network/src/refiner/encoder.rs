@@ -10,7 +10,7 @@ use burn::tensor::{Tensor, activation};
 #[derive(Debug)]
 pub(super) struct Trunk {
     stems: [Conv; 2],
-    stages: Vec<[Conv; 3]>,
+    stages: Vec<Stage>,
 }
 
 /// Features of a batch of pairs: the first half of the batch are the renderings, the second the photographs.
@@ -38,29 +38,42 @@ impl Trunk {
     pub(super) fn new(source: &Source<'_>) -> Self {
         let stem = |name: &str| Conv::new(source.conv(&format!("stem.{name}")), 2);
         let stems = ["reference", "real"].map(stem);
-        let stage = |stage: usize| {
-            [("down", 2), ("first", 1), ("second", 1)]
-                .map(|(part, stride)| Conv::new(source.conv(&format!("trunk.{stage}.{part}")), stride))
-        };
-        Self { stems, stages: (1..4).map(stage).collect() }
+        Self { stems, stages: (1..4).map(|stage| Stage::new(source, stage)).collect() }
     }
 
     pub(super) fn forward(&self, reference: Tensor<4>, real: Tensor<4>) -> Features {
         let stem = |conv: &Conv, x: Tensor<4>| ops::instance_norm(conv.forward(x, false), true);
         let x = Tensor::cat(vec![stem(&self.stems[0], reference), stem(&self.stems[1], real)], 0);
-        let quarter = stage(&self.stages[0], x);
-        let fine = stage(&self.stages[1], quarter);
-        let coarse = stage(&self.stages[2], fine.clone());
+        let fine = self.stages[1].forward(self.stages[0].forward(x));
+        let coarse = self.stages[2].forward(fine.clone());
         Features { fine, coarse }
     }
 }
 
-/// Halves the resolution, then a residual block.
-fn stage([down, first, second]: &[Conv; 3], x: Tensor<4>) -> Tensor<4> {
-    let x = ops::instance_norm(down.forward(x, false), true);
-    let y = ops::instance_norm(first.forward(x.clone(), false), true);
-    let y = ops::instance_norm(second.forward(y, false), false);
-    ops::add_relu(x, y)
+/// Halves the resolution, then a residual block of one or two convolutions.
+#[derive(Debug)]
+struct Stage {
+    down: Conv,
+    block: Vec<Conv>,
+}
+
+impl Stage {
+    fn new(source: &Source<'_>, stage: usize) -> Self {
+        let conv = |part: &str, stride| Conv::new(source.conv(&format!("trunk.{stage}.{part}")), stride);
+        let parts: &[&str] = if stage > 1 { &["first", "second"] } else { &["first"] };
+        Self { down: conv("down", 2), block: parts.iter().map(|part| conv(part, 1)).collect() }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let x = ops::instance_norm(self.down.forward(x, false), true);
+        let last = self.block.len() - 1;
+        let y = self
+            .block
+            .iter()
+            .enumerate()
+            .fold(x.clone(), |y, (i, conv)| ops::instance_norm(conv.forward(y, false), i < last));
+        ops::add_relu(x, y)
+    }
 }
 
 /// The look at 1/16: where each pixel's features are found again, and what convolutions over all of it make of that.

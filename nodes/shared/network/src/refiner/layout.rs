@@ -27,7 +27,7 @@ pub(crate) struct Widths {
 
 /// The widths.
 pub(crate) const WIDTHS: Widths = Widths {
-    trunk: [24, 40, 64, 96],
+    trunk: [24, 32, 64, 96],
     matching: 64,
     global: 96,
     hidden: 64,
@@ -56,7 +56,10 @@ pub(super) fn layout() -> Vec<TensorSpec> {
         let (from, to) = (w.trunk[stage - 1], w.trunk[stage]);
         list.conv(&format!("trunk.{stage}.down"), to, from, [3, 3], kaiming);
         list.conv(&format!("trunk.{stage}.first"), to, to, [3, 3], kaiming);
-        list.conv(&format!("trunk.{stage}.second"), to, to, [3, 3], kaiming);
+        // At 1/4 the second would cost as much as all that follows in the trunk.
+        if stage > 1 {
+            list.conv(&format!("trunk.{stage}.second"), to, to, [3, 3], kaiming);
+        }
     }
     list.conv("match.fine", w.matching, w.trunk[2], [1, 1], None);
     list.conv("match.coarse", w.matching, w.trunk[3], [1, 1], None);
