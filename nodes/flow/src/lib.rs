@@ -5,6 +5,7 @@
 
 mod error;
 mod images;
+mod loaded;
 mod node;
 
 pub use error::FlowError;

@@ -66,8 +66,15 @@ fn inputs(frame: u64, weights: Option<AlignedBytes>) -> InMemory {
 fn open(folder: &Path, engine: EngineConfig, lockstep: Option<Lockstep>) -> FlowNode {
     let model = folder.join("start.safetensors");
     weights(1).save(&model).unwrap();
-    let config =
-        FlowConfig { model, network: Network::Nano, size_px: SIZE, iterations: 2, max_batch: 2, engine, lockstep };
+    let config = FlowConfig {
+        model,
+        network: Network::Nano,
+        size_px: SIZE,
+        iterations: Some(2),
+        max_batch: 2,
+        engine,
+        lockstep,
+    };
     FlowNode::check(&config).unwrap();
     FlowNode::create(config, &context()).unwrap()
 }

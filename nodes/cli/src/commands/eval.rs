@@ -57,8 +57,8 @@ pub(crate) struct Args {
     #[arg(long, value_delimiter = ',', default_value = "128")]
     size: Vec<u32>,
     /// Iterations of the network.
-    #[arg(long, default_value_t = 12)]
-    iterations: u32,
+    #[arg(long)]
+    iterations: Option<u32>,
     /// Refinement passes.
     #[arg(long, default_value_t = 1)]
     passes: u32,

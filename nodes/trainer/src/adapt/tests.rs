@@ -68,7 +68,8 @@ fn inputs(frame: u64, usable: bool) -> InMemory {
     message.partner_rgb.copy_from_slice(&picture([2.0, 1.0]));
     message.partners[0] = Partner { scene_id: 0, image_id: 99, present: 1, reserved: 0 };
 
-    let header = FlowFieldsHeader { fields: VIEWS as u32 + 1, size_px: SIZE, weights_version: 0 };
+    let header =
+        FlowFieldsHeader { fields: VIEWS as u32 + 1, size_px: SIZE, weights_version: 0, has_certainty: 0, reserved: 0 };
     let mut flow = AlignedBytes::zeroed(FlowFields::byte_len(&header));
     let fields = FlowFields::write(&mut flow, header).flow_px;
     fields[VIEWS * 2 * AREA..].chunks_exact_mut(2).for_each(|v| v.copy_from_slice(&[2.0, 1.0]));

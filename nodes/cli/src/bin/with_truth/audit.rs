@@ -75,7 +75,7 @@ impl Nodes {
             model: args.weights.clone(),
             network: network(&args.network)?,
             size_px: args.size,
-            iterations: 12,
+            iterations: Some(12),
             max_batch: 8,
             engine: EngineConfig::default(),
             lockstep: None,

@@ -116,7 +116,7 @@ pub(super) fn pipeline(args: &Args, weights: &Path) -> Result<Pipeline> {
             model: weights.to_owned(),
             network: super::super::export::network(&args.network)?,
             size_px: args.size,
-            iterations: 12,
+            iterations: Some(12),
             max_batch: 16,
             engine: EngineConfig::default(),
             lockstep: None,

@@ -20,7 +20,7 @@ use crate::raft::Raft;
 use crate::weights::{NamedTensor, Weights};
 use builder::{Attr, Batch, Builder};
 pub use detector::export_detector;
-pub use refiner::export_refiner;
+pub use refiner::{export_refiner, is_refiner_onnx};
 
 /// What to export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,12 +1,13 @@
 //! The refiner as standard ONNX.
 
 use super::builder::{Attr, Builder};
-use super::{Export, ExportOptions};
+use super::{Export, ExportOptions, proto};
 use crate::config::Architecture;
 use crate::error::Result;
 use crate::model::Model;
 use crate::refiner::{LEVELS, RADIUS, REFERENCE_CHANNELS, RefinerConfig, WIDTHS, check_size};
 use crate::weights::Weights;
+use prost::Message as _;
 
 /// The bytes of an ONNX file with inputs `reference` (N, 5, S, S) and `real` (N, 3, S, S) as [`crate::Refiner::forward`] takes
 /// them, and outputs `flow` (N, 2, S, S), px, defined on the reference, and `certainty` (N, 2, S, S): probability that the
@@ -37,6 +38,14 @@ pub fn export_refiner(weights: &Weights, config: &RefinerConfig, options: Export
         ("network", config.name.clone()),
     ];
     Ok(export.graph.finish("refiner", &metadata))
+}
+
+/// Whether the bytes of an ONNX file are those of a refiner: a network that says how certain it is.
+#[must_use]
+pub fn is_refiner_onnx(onnx: &[u8]) -> bool {
+    let model = proto::Model::decode(onnx).ok();
+    let outputs = model.and_then(|model| model.graph).map(|graph| graph.output).unwrap_or_default();
+    outputs.iter().any(|output| output.name == "certainty")
 }
 
 /// Features of one image at 1/8 and at 1/16.
