@@ -1,21 +1,22 @@
 //! Preview sheet and speed of the synthetic data:
-//! `cargo run --release -p pseudoflow-trainer --example synth -- MODELS_DIR SHEET.png [FIRST COUNT SIZE SEED]`
+//! `cargo run --release -p pseudoflow-trainer --example synth -- MODELS_DIR[,DIR...] SHEET.png [FIRST COUNT SIZE SEED]`
 
-use pseudoflow_imaging::{ObjectSet, save_png};
+use pseudoflow_imaging::save_png;
 use pseudoflow_trainer::preview_sheet;
-use pseudoflow_trainer::synth::{SampleGenerator, SynthConfig};
-use std::path::Path;
+use pseudoflow_trainer::synth::{ObjectPool, SampleGenerator, SynthConfig};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let [models, sheet, rest @ ..] = args.as_slice() else {
-        return Err("usage: synth MODELS_DIR SHEET.png [FIRST COUNT SIZE SEED]".into());
+        return Err("usage: synth MODELS_DIR[,DIR...] SHEET.png [FIRST COUNT SIZE SEED]".into());
     };
     let number = |i: usize, default: u64| rest.get(i).map_or(Ok(default), |v| v.parse());
     let (first, count, size, seed) = (number(0, 0)?, number(1, 8)?, number(2, 128)?, number(3, 1)?);
-    let objects = Arc::new(ObjectSet::load(Path::new(models))?);
+    let folders: Vec<PathBuf> = models.split(',').map(PathBuf::from).collect();
+    let objects = Arc::new(ObjectPool::load(&folders)?);
     let generator = SampleGenerator::new(objects, SynthConfig::default(), seed)?;
     let start = Instant::now();
     let samples = generator.batch(first, count as usize, size as u32)?;

@@ -1,9 +1,9 @@
-use anyhow::{Context as _, Result};
-use pseudoflow_imaging::{ObjectSet, RgbImage, save_png};
+use anyhow::{Context as _, Result, bail};
+use pseudoflow_imaging::{RgbImage, save_png};
 use pseudoflow_trainer::initializer::{InitializerTraining, scene_sheet, train_initializer};
 use pseudoflow_trainer::pretrain::{PretrainConfig, TerminalProgress, WarmStart, pretrain};
 use pseudoflow_trainer::preview_sheet;
-use pseudoflow_trainer::synth::SampleGenerator;
+use pseudoflow_trainer::synth::{ObjectPool, SampleGenerator};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -22,9 +22,9 @@ pub(crate) struct Args {
     /// Which network to train.
     #[arg(long, value_enum, default_value = "flow")]
     stage: Stage,
-    /// The object set: a BOP `models/` folder. One network is trained for all its objects.
-    #[arg(long)]
-    objects: PathBuf,
+    /// The objects: BOP `models/` folders. One network is trained for all of them (initializer: one folder).
+    #[arg(long, value_delimiter = ',', required = true, value_name = "DIR[,DIR...]")]
+    objects: Vec<PathBuf>,
     /// nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
     #[arg(long, default_value = "nano")]
     network: String,
@@ -80,15 +80,16 @@ impl Args {
         config
     }
 
-    fn initializer(&self) -> InitializerTraining {
-        let mut config = InitializerTraining::new(self.objects.clone(), &self.network, self.out.clone());
+    fn initializer(&self) -> Result<InitializerTraining> {
+        let [objects] = self.objects.as_slice() else { bail!("--objects: an initializer takes one folder") };
+        let mut config = InitializerTraining::new(objects.clone(), &self.network, self.out.clone());
         config.block = self.block.unwrap_or(config.block);
         config.steps = self.steps.unwrap_or(config.steps);
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
         (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
-        config
+        Ok(config)
     }
 }
 
@@ -96,8 +97,8 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     match (args.stage, &args.preview) {
         (Stage::Flow, Some(sheet)) => preview(&args.flow(), sheet),
         (Stage::Flow, None) => flow(&args.flow()),
-        (Stage::Initializer, Some(sheet)) => written(&scene_sheet(&args.initializer(), 12)?, sheet),
-        (Stage::Initializer, None) => initializer(&args.initializer()),
+        (Stage::Initializer, Some(sheet)) => written(&scene_sheet(&args.initializer()?, 12)?, sheet),
+        (Stage::Initializer, None) => initializer(&args.initializer()?),
     }
 }
 
@@ -130,7 +131,7 @@ fn initializer(config: &InitializerTraining) -> Result<ExitCode> {
 fn preview(config: &PretrainConfig, sheet: &Path) -> Result<ExitCode> {
     config.check()?;
     let size_px = config.resolve_network()?.size_px as u32;
-    let objects = Arc::new(ObjectSet::load(&config.objects)?);
+    let objects = Arc::new(ObjectPool::load(&config.objects)?);
     let samples = SampleGenerator::new(objects, config.synth.clone(), config.seed)?.batch(0, 8, size_px)?;
     written(&preview_sheet(&samples), sheet)
 }

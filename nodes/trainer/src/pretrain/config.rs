@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PretrainConfig {
-    /// BOP `models/` folder; one network is trained for all its objects.
-    pub objects: PathBuf,
+    /// BOP `models/` folders; one network is trained for all their objects.
+    pub objects: Vec<PathBuf>,
     /// `nano`, `small`, `paper`, or the path of a YAML file as in config/networks.
     pub network: String,
     /// Where the weights go (safetensors). Log (.csv), plot (.svg) and checkpoint (.checkpoint) stand beside it.
@@ -107,7 +107,7 @@ mod defaults {
 impl PretrainConfig {
     /// The defaults for an object set, a network and an output file.
     #[must_use]
-    pub fn new(objects: PathBuf, network: &str, out: PathBuf) -> Self {
+    pub fn new(objects: Vec<PathBuf>, network: &str, out: PathBuf) -> Self {
         Self {
             objects,
             network: network.to_owned(),
@@ -136,6 +136,7 @@ impl PretrainConfig {
             s.size_px.is_multiple_of(8) && (64..=1024).contains(&s.size_px) && s.weight > 0.0 && s.weight.is_finite()
         };
         let rules = [
+            ("objects", !self.objects.is_empty(), "at least one folder"),
             ("steps", (1..=100_000_000).contains(&self.steps), "1 to 100000000"),
             ("batch", (1..=256).contains(&self.batch), "1 to 256"),
             ("max_lr", self.max_lr > 0.0 && self.max_lr <= 0.1, "a number over 0, at most 0.1"),

@@ -15,12 +15,11 @@ pub(crate) use config::{network_named, shipped};
 pub use progress::{Progress, Silent, TerminalProgress};
 
 use crate::TrainerError;
-use crate::synth::SampleGenerator;
+use crate::synth::{ObjectPool, SampleGenerator};
 use data::Prefetch;
 pub(crate) use data::push_planes;
 pub(crate) use log::write_atomically;
 pub(crate) use log::{Curve, Row, RunLog};
-use pseudoflow_imaging::ObjectSet;
 use pseudoflow_network::{Device, NetworkConfig, TrainConfig, TrainState, Weights};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -109,7 +108,7 @@ pub struct PretrainSummary {
 pub fn pretrain(config: &PretrainConfig, progress: &mut dyn Progress) -> Result<PretrainSummary, TrainerError> {
     config.check()?;
     let network = config.resolve_network()?;
-    let objects = Arc::new(ObjectSet::load(&config.objects)?);
+    let objects = Arc::new(ObjectPool::load(&config.objects)?);
     let generator = SampleGenerator::new(Arc::clone(&objects), config.synth.clone(), config.seed)?;
     let (mut state, mut log) = open(config, &network, &objects)?;
     let first = state.step();
@@ -128,7 +127,7 @@ pub fn pretrain(config: &PretrainConfig, progress: &mut dyn Progress) -> Result<
     }
     save_checkpoint(config, &state, &log)?;
     let seconds = start.elapsed().as_secs_f64();
-    let made_per_s = pairs as f64 / prefetch.busy_s().max(1e-9);
+    let made_per_s = prefetch.made_per_s();
     finish(config, &state, &log, seconds, pairs as f64 / seconds.max(1e-9), made_per_s)
 }
 
@@ -152,7 +151,7 @@ fn step(state: &mut TrainState, batch: &data::Batch, network_size_px: usize) -> 
 fn open(
     config: &PretrainConfig,
     network: &NetworkConfig,
-    objects: &ObjectSet,
+    objects: &ObjectPool,
 ) -> Result<(TrainState, RunLog<StepReport>), TrainerError> {
     let device = Device::flex();
     let (checkpoint, log_path) = (config.checkpoint_path(), config.out.with_extension("csv"));
@@ -173,7 +172,7 @@ fn open(
             Weights::random(network, config.seed)
         }
     };
-    weights.info.objects = objects.iter().map(|object| object.name.clone()).collect();
+    weights.info.objects = objects.names().to_vec();
     let state = TrainState::new(network.clone(), TrainConfig::new(config.max_lr, config.steps), weights, &device)?;
     if let Some(folder) = config.out.parent().filter(|f| !f.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder).map_err(TrainerError::io(folder))?;

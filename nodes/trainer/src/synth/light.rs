@@ -7,7 +7,7 @@
 use super::random::Draw;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_imaging::raster::{Background, Item, Rendering, Scene, Scratch, Shader, Surface, render_scene};
+use pseudoflow_imaging::raster::{Background, Item, Scene, Scratch, Surface};
 use rand::Rng;
 
 /// A distant light or a bright part of the surroundings.
@@ -36,14 +36,14 @@ pub(super) struct Lighting {
 }
 
 /// How a mesh answers to light.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Material {
     /// Factor on each linear channel.
     tint: [f32; 3],
     /// 1 keeps the texture's saturation, 0 makes it grey.
     saturation: f32,
-    /// Exponent on the linear albedo.
-    contrast: f32,
+    /// `v^contrast` for linear albedos v, even in the square root of v; empty when the exponent is 1.
+    contrast: Vec<f32>,
     /// Which channel of the texture feeds red, green and blue.
     channels: [usize; 3],
     /// Reflectance at normal incidence.
@@ -59,7 +59,7 @@ impl Material {
         Self {
             tint: std::array::from_fn(|_| gain * rng.uniform32(0.9, 1.08)),
             saturation: rng.uniform32(0.75, 1.15),
-            contrast: rng.log_uniform32(0.75, 1.3),
+            contrast: contrast_table(rng.log_uniform32(0.75, 1.3)),
             channels: [0, 1, 2],
             gloss: if rng.chance(0.4) { 0.0 } else { rng.log_uniform32(0.01, 0.12) },
             sharpness: rng.log_uniform32(6.0, 250.0),
@@ -77,10 +77,30 @@ impl Material {
         let grey = luminance(linear);
         std::array::from_fn(|k| {
             let value = (grey + self.saturation * (linear[k] - grey)).max(0.0);
-            let value = if (self.contrast - 1.0).abs() < 0.02 { value } else { value.powf(self.contrast) };
-            self.tint[k] * value
+            self.tint[k] * contrasted(&self.contrast, value)
         })
     }
+}
+
+/// Entries of a contrast table, which ends at albedo [`LAST_ALBEDO`].
+const CONTRAST: usize = 96;
+const LAST_ALBEDO: f32 = 1.2;
+
+fn contrast_table(exponent: f32) -> Vec<f32> {
+    if (exponent - 1.0).abs() < 0.02 {
+        return Vec::new();
+    }
+    let value = |i: usize| LAST_ALBEDO * (i as f32 / (CONTRAST - 1) as f32).powi(2);
+    (0..CONTRAST).map(|i| value(i).powf(exponent)).collect()
+}
+
+fn contrasted(table: &[f32], value: f32) -> f32 {
+    if table.is_empty() {
+        return value;
+    }
+    let at = (value.min(LAST_ALBEDO) * (1.0 / LAST_ALBEDO)).sqrt() * (CONTRAST - 1) as f32;
+    let low = (at as usize).min(CONTRAST - 2);
+    table[low] + (at - low as f32) * (table[low + 1] - table[low])
 }
 
 impl Lighting {
@@ -126,8 +146,11 @@ impl Lighting {
                 material.gloss + (1.0 - material.gloss) * 0.5 * (1.0 - normal.dot(&view).clamp(0.0, 1.0)).powi(5);
             for lamp in self.lamps.iter().chain(&self.windows) {
                 let k = material.sharpness * lamp.sharpness;
-                let lobe = fresnel * (1.0 + 0.15 * k) * (k * (mirrored.dot(&lamp.direction) - 1.0)).exp();
-                (0..3).for_each(|c| out[c] += lobe * lamp.colour[c]);
+                let exponent = k * (mirrored.dot(&lamp.direction) - 1.0);
+                if exponent > -10.0 {
+                    let lobe = fresnel * (1.0 + 0.15 * k) * exponent.exp();
+                    (0..3).for_each(|c| out[c] += lobe * lamp.colour[c]);
+                }
             }
         }
         out
@@ -172,20 +195,12 @@ fn shadow_edge(rng: &mut impl Rng, centre_m: Vector3<f32>, diameter_m: f32) -> (
 /// The nearest depth along one light.
 #[derive(Debug)]
 pub(super) struct ShadowMap {
-    rendering: Rendering,
+    /// 1 / depth from the light, 1/m; 0 where nothing is.
+    inverse_depth: Vec<f32>,
     light_from_camera: Isometry3<f32>,
     intrinsics: Intrinsics,
     softness_px: f32,
     bias_m: f32,
-}
-
-/// Only depth is asked for.
-struct NoColour;
-
-impl Shader for NoColour {
-    fn shade(&self, _: &Surface) -> [f32; 3] {
-        [0.0; 3]
-    }
 }
 
 /// Sample places of the blur, in units of its radius.
@@ -214,9 +229,10 @@ impl ShadowMap {
         items.iter_mut().for_each(|item| item.camera_from_object = pose * item.camera_from_object);
         let (size, background) = (SHADOW_SIZE as u32, Background::Colour([0; 3]));
         let scene = Scene { items: &items, intrinsics, width: size, height: size, background };
-        let mut rendering = Rendering::new(size, size);
-        render_scene(&scene, &NoColour, &mut Scratch::default(), &mut rendering);
-        Self { rendering, light_from_camera, intrinsics, softness_px, bias_m: 0.02 * diameter_m }
+        let mut seen = Scratch::default();
+        seen.cover(&scene);
+        let inverse_depth = seen.inverse_depths().to_vec();
+        Self { inverse_depth, light_from_camera, intrinsics, softness_px, bias_m: 0.02 * diameter_m }
     }
 
     /// The share of the light that reaches a point of the camera's frame.
@@ -224,11 +240,12 @@ impl ShadowMap {
         let p = self.light_from_camera * Point3::from(*point_m);
         let k = &self.intrinsics;
         let (x, y) = (k.fx as f32 * p.x / p.z + k.cx as f32, k.fy as f32 * p.y / p.z + k.cy as f32);
+        // Nearer to the light than the point, bias taken off, is what hides it.
+        let limit = 1.0 / (p.z - self.bias_m).max(1e-6);
         let free = |tap: &[f32; 2]| {
-            let (x, y) = ((x + tap[0] * self.softness_px).round(), (y + tap[1] * self.softness_px).round());
-            let inside = (0.0..SHADOW_SIZE as f32).contains(&x) && (0.0..SHADOW_SIZE as f32).contains(&y);
-            let blocker_m = if inside { self.rendering.depth_m[y as usize * SHADOW_SIZE + x as usize] } else { 0.0 };
-            blocker_m == 0.0 || blocker_m > p.z - self.bias_m
+            let (x, y) = (x + tap[0] * self.softness_px + 0.5, y + tap[1] * self.softness_px + 0.5);
+            let inside = x >= 0.0 && y >= 0.0 && x < SHADOW_SIZE as f32 && y < SHADOW_SIZE as f32;
+            !inside || self.inverse_depth[y as usize * SHADOW_SIZE + x as usize] < limit
         };
         TAPS.iter().filter(|tap| free(tap)).count() as f32 / TAPS.len() as f32
     }

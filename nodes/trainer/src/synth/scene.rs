@@ -5,17 +5,18 @@ mod table;
 pub(super) use table::Placed;
 
 use super::SynthConfig;
-use super::light::{Lighting, Material, ShadowMap};
+use super::light::{Lighting, Material};
 use super::pattern::Pattern;
-use super::pose::{Placement, centre_m};
+use super::picture::Picture;
+use super::pool::ObjectPool;
+use super::pose::{Stand, centre_m};
 use super::random::Draw;
-use super::sensor::LinearImage;
 use super::things::{draw_shape, finger, sheet};
 use super::window::Window;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_imaging::raster::{Background, Item, Rendering, Scene, Scratch, Shader, Surface, render_scene};
-use pseudoflow_imaging::{ImagingError, Mesh, Object, ObjectSet};
+use pseudoflow_imaging::raster::{Item, Surface};
+use pseudoflow_imaging::{ImagingError, Mesh, Object};
 use rand::Rng;
 use std::sync::Arc;
 
@@ -44,14 +45,6 @@ pub(super) struct SyntheticScene {
     diameter_m: f32,
 }
 
-/// What the scene looks like, and what is where.
-pub(super) struct Picture {
-    /// Linear light, one value per pixel of the window.
-    pub(super) light: LinearImage,
-    /// Depth and owner (1 is the object) at `supersampling` times the window's resolution.
-    pub(super) visible: Rendering,
-}
-
 /// Where things are placed: the object's surroundings in the image.
 struct Surroundings<'a> {
     intrinsics: &'a Intrinsics,
@@ -66,16 +59,16 @@ impl SyntheticScene {
     /// Draws everything but the object, which stands at its true pose.
     pub(super) fn draw(
         rng: &mut impl Rng,
-        objects: &ObjectSet,
+        objects: &ObjectPool,
         object: &Object,
-        placement: &Placement,
+        stand: &Stand,
         config: &SynthConfig,
     ) -> Result<Self, ImagingError> {
-        let around = Surroundings::draw(rng, object, placement);
+        let around = Surroundings::draw(rng, object, stand);
         let material = Material::of_target(rng);
         let target = Thing {
             mesh: Arc::clone(&object.mesh),
-            camera_from_thing: placement.truth_camera_from_object,
+            camera_from_thing: stand.truth_camera_from_object,
             look: Look { material, pattern: None },
             in_front: false,
         };
@@ -92,6 +85,11 @@ impl SyntheticScene {
         Ok(Self { things, ground, lighting, centre_m, diameter_m })
     }
 
+    /// The object.
+    pub(super) fn target(&self) -> Item<'_> {
+        self.things[0].item()
+    }
+
     /// Takes away what stands between camera and object.
     pub(super) fn remove_occluders(&mut self) {
         self.things.retain(|thing| !thing.in_front);
@@ -103,67 +101,28 @@ impl SyntheticScene {
         let shadow = self.lighting.shadow_map(&casting, self.centre_m, self.diameter_m);
         let all: Vec<&Thing> = self.things.iter().chain(&self.ground).collect();
         let items: Vec<Item<'_>> = all.iter().map(|thing| thing.item()).collect();
-        let shader = SceneShader { looks: all.iter().map(|t| &t.look).collect(), lighting: &self.lighting, shadow };
-        let (width, height) = window.rendered_px();
-        let background = Background::Colour([100; 3]);
-        let scene = Scene { items: &items, intrinsics: window.rendered_intrinsics(), width, height, background };
-        let mut visible = Rendering::new(width, height);
-        render_scene(&scene, &shader, &mut Scratch::default(), &mut visible);
-        Picture { light: gather(&visible, window), visible }
+        let shade = |surface: &Surface| {
+            let look = &all[surface.item].look;
+            let albedo = look.albedo(surface);
+            self.lighting.shade(&Surface { albedo, ..*surface }, &look.material, shadow.as_ref())
+        };
+        Picture::render(&items, window, shade)
     }
 }
 
-/// The mean light over the sub-pixels of each pixel.
-fn gather(visible: &Rendering, window: &Window) -> LinearImage {
-    let (n, width, height) = (window.supersampling as usize, window.width as usize, window.height as usize);
-    let decode: [f32; 256] = std::array::from_fn(|v| decode_light(v as u8));
-    let raw = visible.rgb.as_raw();
-    let stride = width * n * 3;
-    let mut pixels = vec![[0.0_f32; 3]; width * height];
-    for (y, line) in raw.chunks_exact(stride).enumerate() {
-        let row = &mut pixels[y / n * width..][..width];
-        for (x, pixel) in line.as_chunks::<3>().0.iter().enumerate() {
-            (0..3).for_each(|k| row[x / n][k] += decode[usize::from(pixel[k])]);
-        }
-    }
-    let share = 1.0 / (n * n) as f32;
-    pixels.iter_mut().for_each(|p| *p = p.map(|c| c * share));
-    LinearImage { width, height, pixels }
-}
-
-/// Brightest light that the rasteriser's bytes hold; a white sheet in full light has 1.
-const BRIGHTEST: f32 = 2.0;
-
-/// The rasteriser keeps bytes: light is kept as its cube root, whose steps are as fine as those of sRGB.
-fn encode_light(light: f32) -> f32 {
-    (light / BRIGHTEST).clamp(0.0, 1.0).cbrt()
-}
-
-fn decode_light(byte: u8) -> f32 {
-    BRIGHTEST * (f32::from(byte) / 255.0).powi(3)
-}
-
-struct SceneShader<'a> {
-    looks: Vec<&'a Look>,
-    lighting: &'a Lighting,
-    shadow: Option<ShadowMap>,
-}
-
-impl Shader for SceneShader<'_> {
-    fn shade(&self, surface: &Surface) -> [f32; 3] {
-        let look = self.looks[surface.item];
-        let mut surface = *surface;
-        if let Some((pattern, unit_m)) = &look.pattern {
-            let [x, y, z] = surface.point_in_object.map(|c| c / unit_m);
-            surface.albedo = pattern.colour(x + 0.35 * z, y + 0.8 * z);
-        }
-        self.lighting.shade(&surface, &look.material, self.shadow.as_ref()).map(encode_light)
+impl Look {
+    /// sRGB-encoded, 0 to 1.
+    fn albedo(&self, surface: &Surface) -> [f32; 3] {
+        let Some((pattern, unit_m)) = &self.pattern else { return surface.albedo };
+        let scale = 1.0 / unit_m;
+        let [x, y, z] = surface.point_in_object.map(|c| c * scale);
+        pattern.colour(x + 0.35 * z, y + 0.8 * z)
     }
 }
 
 impl<'a> Surroundings<'a> {
-    fn draw(rng: &mut impl Rng, object: &Object, placement: &'a Placement) -> Self {
-        let truth = &placement.truth_camera_from_object;
+    fn draw(rng: &mut impl Rng, object: &Object, stand: &'a Stand) -> Self {
+        let truth = &stand.truth_camera_from_object;
         let (elevation, roll) = (rng.uniform(8.0, 85.0).to_radians(), rng.uniform(-20.0, 20.0).to_radians());
         let upright = Vector3::new(0.0, -elevation.cos(), -elevation.sin());
         let up = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll) * upright;
@@ -171,7 +130,7 @@ impl<'a> Surroundings<'a> {
         let gap_m = if rng.chance(0.7) { 0.0 } else { rng.uniform(0.0, 0.5) * object.diameter_m };
         let table_m = rng.chance(0.75).then_some(lowest - gap_m);
         Self {
-            intrinsics: &placement.intrinsics,
+            intrinsics: &stand.intrinsics,
             centre: truth * centre_m(object),
             diameter_m: object.diameter_m,
             up,
@@ -193,7 +152,7 @@ impl<'a> Surroundings<'a> {
     fn add_neighbour(
         &self,
         rng: &mut impl Rng,
-        objects: &ObjectSet,
+        objects: &ObjectPool,
         things: &mut Vec<Thing>,
     ) -> Result<(), ImagingError> {
         let z_m = self.centre.z + self.diameter_m * rng.uniform(0.0, 2.5);
@@ -212,7 +171,7 @@ impl<'a> Surroundings<'a> {
     fn add_occluders(
         &self,
         rng: &mut impl Rng,
-        objects: &ObjectSet,
+        objects: &ObjectPool,
         things: &mut Vec<Thing>,
     ) -> Result<(), ImagingError> {
         if rng.chance(0.3) {
@@ -232,10 +191,10 @@ impl<'a> Surroundings<'a> {
     }
 
     /// An object of the set or a random shape.
-    fn draw_thing(&self, rng: &mut impl Rng, objects: &ObjectSet, at: Point3<f64>) -> Result<Thing, ImagingError> {
+    fn draw_thing(&self, rng: &mut impl Rng, objects: &ObjectPool, at: Point3<f64>) -> Result<Thing, ImagingError> {
         let rotation = rng.rotation();
-        let chosen = objects.iter().nth(rng.below(objects.len()));
-        if let (Some(object), true) = (chosen, rng.chance(0.5)) {
+        let object = objects.at(rng.below(objects.len()));
+        if rng.chance(0.5) {
             let camera_from_thing = Pose::from_parts(Translation3::from(at - rotation * centre_m(object)), rotation);
             let look = Look { material: Material::of_distractor(rng), pattern: None };
             return Ok(Thing { mesh: Arc::clone(&object.mesh), camera_from_thing, look, in_front: false });
@@ -262,7 +221,7 @@ impl<'a> Surroundings<'a> {
         for i in 0..2 + rng.below(3) {
             let bent = rotation * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), rng.uniform(-0.15, 0.15));
             let camera_from_thing = Pose::from_parts(Translation3::from(at.coords + spread * i as f64), bent);
-            let look = Look { material, pattern: Some((Pattern::soft(rng, skin), 0.05)) };
+            let look = Look { material: material.clone(), pattern: Some((Pattern::soft(rng, skin), 0.05)) };
             things.push(Thing { mesh: Arc::clone(&mesh), camera_from_thing, look, in_front: true });
         }
         Ok(())
@@ -306,18 +265,5 @@ impl Thing {
         let step = (self.mesh.vertices_m.len() / 500).max(1);
         let along = |v: &[f32; 3]| up.dot(&(self.camera_from_thing * Point3::from(v.map(f64::from))).coords);
         self.mesh.vertices_m.iter().step_by(step).map(along).fold(f64::MAX, f64::min)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn light_survives_the_bytes() {
-        for light in [0.01_f32, 0.1, 0.5, 1.0, 1.9] {
-            let byte = (encode_light(light) * 255.0 + 0.5) as u8;
-            assert!((decode_light(byte) / light - 1.0).abs() < 0.05, "{light}");
-        }
     }
 }

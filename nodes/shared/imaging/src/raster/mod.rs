@@ -6,7 +6,10 @@
 //! shade with [`Headlight`] on [`crate::BACKGROUND_GREY`] (method.md, step 3). Colours are computed in
 //! sRGB-encoded values.
 
+mod coverage;
 mod grain;
+mod hit;
+mod normals;
 mod software;
 mod studio;
 mod surface;
@@ -14,7 +17,10 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
-pub use software::{Background, Item, MAX_ITEMS, PLAIN_ALBEDO, Scene, Scratch, SoftwareRasteriser, render_scene};
+pub use coverage::Scratch;
+pub use hit::PLAIN_ALBEDO;
+pub use normals::normals_from_depth;
+pub use software::{Background, Item, MAX_ITEMS, Scene, SoftwareRasteriser, render_scene};
 pub use studio::{Light, Material, SoftShadow, Studio};
 pub use surface::{Headlight, Shader, Surface};
 

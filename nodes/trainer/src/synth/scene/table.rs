@@ -3,13 +3,14 @@
 use super::{Look, Surroundings, SyntheticScene, Thing};
 use crate::synth::light::{Lighting, Material};
 use crate::synth::pattern::Pattern;
+use crate::synth::pool::ObjectPool;
 use crate::synth::pose::centre_m;
 use crate::synth::random::Draw;
 use crate::synth::things::draw_shape;
 use crate::synth::whole::SceneConfig;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_imaging::{ImagingError, Object, ObjectSet};
+use pseudoflow_imaging::ImagingError;
 use rand::Rng;
 use std::sync::Arc;
 
@@ -47,7 +48,7 @@ impl SyntheticScene {
     /// Draws a scene of several objects; the first things are those of the returned list, in its order.
     pub(in crate::synth) fn draw_whole(
         rng: &mut impl Rng,
-        objects: &ObjectSet,
+        objects: &ObjectPool,
         intrinsics: &Intrinsics,
         config: &SceneConfig,
     ) -> Result<(Self, Vec<Placed>), ImagingError> {
@@ -111,8 +112,8 @@ impl Table<'_> {
     }
 
     /// One of the objects, where there is room for it.
-    fn object(&self, rng: &mut impl Rng, objects: &ObjectSet, taken: &mut Taken) -> Option<(Placed, Thing)> {
-        let object: &Object = objects.iter().nth(rng.below(objects.len()))?;
+    fn object(&self, rng: &mut impl Rng, objects: &ObjectPool, taken: &mut Taken) -> Option<(Placed, Thing)> {
+        let object = objects.at(rng.below(objects.len()));
         for _ in 0..TRIES {
             let (at, rotation) = (self.place(rng), self.orientation(rng));
             let Some(at) = at else { continue };

@@ -1,0 +1,74 @@
+//! The objects of a training: those of several BOP `models/` folders together.
+
+use crate::TrainerError;
+use pseudoflow_imaging::{Object, ObjectSet};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Objects to train on. Their ids need not be unique: an object is known by its place in the pool.
+#[derive(Debug, Clone)]
+pub struct ObjectPool {
+    objects: Vec<Arc<Object>>,
+    names: Vec<String>,
+}
+
+impl ObjectPool {
+    /// Reads all objects of all folders, in the order given.
+    ///
+    /// # Errors
+    /// When no folder is given, or as [`ObjectSet::load`].
+    pub fn load(folders: &[PathBuf]) -> Result<Self, TrainerError> {
+        let sets = folders.iter().map(|folder| ObjectSet::load(folder)).collect::<Result<Vec<_>, _>>()?;
+        let pool = Self::of_sets(&sets);
+        if pool.objects.is_empty() {
+            return Err(TrainerError::NoObjects { folder: folders.first().cloned().unwrap_or_default() });
+        }
+        let triangles: usize = pool.objects.iter().map(|o| o.mesh.triangles.len()).sum();
+        log::info!("{} objects of {} folders, {triangles} triangles", pool.len(), folders.len());
+        for object in pool.objects.iter().filter(|o| o.mesh.texture.is_none() && o.mesh.colours.is_empty()) {
+            log::warn!("object {} ({}) has neither texture nor vertex colours: it is drawn light grey", object.id, object.name);
+        }
+        Ok(pool)
+    }
+
+    /// The objects of sets that are loaded.
+    #[must_use]
+    pub fn of_sets(sets: &[ObjectSet]) -> Self {
+        let objects = sets.iter().flat_map(ObjectSet::iter).cloned().map(Arc::new).collect();
+        // One set keeps its names; of several, each name says where it comes from.
+        let folder = |set: &ObjectSet| set.folder().iter().rev().take(2).collect::<PathBuf>();
+        let name = |set: &ObjectSet, object: &Object| match sets.len() {
+            1 => object.name.clone(),
+            _ => format!("{}/{}", folder(set).iter().rev().collect::<PathBuf>().display(), object.name),
+        };
+        let names = sets.iter().flat_map(|set| set.iter().map(move |object| name(set, object))).collect();
+        Self { objects, names }
+    }
+
+    /// How many there are (at least one, when loaded).
+    #[must_use]
+    #[allow(clippy::len_without_is_empty)] // a pool is never empty
+    pub fn len(&self) -> usize {
+        self.objects.len()
+    }
+
+    /// The object at a place.
+    ///
+    /// # Panics
+    /// When the place is not below [`ObjectPool::len`].
+    #[must_use]
+    pub fn at(&self, place: usize) -> &Arc<Object> {
+        &self.objects[place]
+    }
+
+    /// All of them, by place.
+    pub fn iter(&self) -> impl Iterator<Item = &Arc<Object>> {
+        self.objects.iter()
+    }
+
+    /// Their names, by place: for the weights' card.
+    #[must_use]
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+}
