@@ -50,8 +50,8 @@ pub(crate) struct Args {
     /// Folder for `report.json` and `report.html`.
     #[arg(long)]
     report: Option<PathBuf>,
-    /// The network that the weights belong to: nano, small or paper.
-    #[arg(long, default_value = "nano")]
+    /// The network that the weights belong to: auto (as the weights say), refiner, nano, small or paper.
+    #[arg(long, default_value = "auto")]
     network: String,
     /// Width and height of the crops, pixels; several, for one pass after the other (`128,256`): the last one goes on.
     #[arg(long, value_delimiter = ',', default_value = "128")]

@@ -1,7 +1,7 @@
 use anyhow::{Context as _, Result, bail};
 use pseudoflow_imaging::{RgbImage, save_png};
 use pseudoflow_trainer::initializer::{InitializerTraining, scene_sheet, train_initializer};
-use pseudoflow_trainer::pretrain::{PretrainConfig, TerminalProgress, WarmStart, pretrain};
+use pseudoflow_trainer::pretrain::{Course, PretrainConfig, TerminalProgress, WarmStart, pretrain};
 use pseudoflow_trainer::preview_sheet;
 use pseudoflow_trainer::synth::{ObjectPool, SampleGenerator};
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ pub(crate) struct Args {
     /// The objects: BOP `models/` folders. One network is trained for all of them (initializer: one folder).
     #[arg(long, value_delimiter = ',', required = true, value_name = "DIR[,DIR...]")]
     objects: Vec<PathBuf>,
-    /// nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
+    /// refiner, nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
     #[arg(long, default_value = "nano")]
     network: String,
     /// The weights to write (.safetensors). Log, plot and checkpoint stand beside them.
@@ -34,6 +34,16 @@ pub(crate) struct Args {
     /// Optimiser steps.
     #[arg(long)]
     steps: Option<u64>,
+    /// Refiner: the learning rate falls over the last so many steps. With `--resume` and more `--steps` the training goes on from
+    /// before that.
+    #[arg(long)]
+    cool_down: Option<u64>,
+    /// Every n-th object is kept out of the training; the error on renderings of these is the learning curve.
+    #[arg(long, value_name = "N")]
+    hold_out: Option<usize>,
+    /// Steps between checkpoints.
+    #[arg(long)]
+    checkpoint_every: Option<u64>,
     /// Pairs (initializer: images) in a step.
     #[arg(long)]
     batch: Option<usize>,
@@ -76,6 +86,9 @@ impl Args {
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
+        config.hold_out = self.hold_out.unwrap_or(config.hold_out);
+        config.checkpoint_every = self.checkpoint_every.unwrap_or(config.checkpoint_every);
+        config.schedule = self.cool_down.map(|cool_down| Course::Plateau { warm_up: 500, cool_down });
         (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
         config
     }
@@ -130,7 +143,7 @@ fn initializer(config: &InitializerTraining) -> Result<ExitCode> {
 
 fn preview(config: &PretrainConfig, sheet: &Path) -> Result<ExitCode> {
     config.check()?;
-    let size_px = config.resolve_network()?.size_px as u32;
+    let size_px = config.network_size_px()? as u32;
     let objects = Arc::new(ObjectPool::load(&config.objects)?);
     let samples = SampleGenerator::new(objects, config.synth.clone(), config.seed)?.batch(0, 8, size_px)?;
     written(&preview_sheet(&samples), sheet)

@@ -24,7 +24,7 @@ pub use error::{NetworkError, Result};
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
 pub use model::{Init, Model, Parameter, TensorSpec};
 pub use onnx::{ExportOptions, export_detector, export_features, export_onnx, export_refiner, is_refiner_onnx};
-pub use optim::{AdamWConfig, OneCycle};
+pub use optim::{AdamWConfig, OneCycle, Plateau, Schedule};
 pub use raft::Raft;
 pub use refiner::{
     DeviceRefinerBatch, REFERENCE_CHANNELS, Refinement, Refiner, RefinerBatch, RefinerConfig, reference_geometry,

@@ -4,7 +4,7 @@ use crate::config::NetworkConfig;
 use crate::error::{NetworkError, Result, io_error};
 use crate::loss::{FlowBatch, end_point_error, sequence_loss, values};
 use crate::model::{Model, gradients};
-use crate::optim::{AdamWConfig, Moments, OneCycle, adamw, clip_scale, global_norm};
+use crate::optim::{AdamWConfig, Moments, OneCycle, Schedule, adamw, clip_scale, global_norm};
 use crate::weights::{NamedTensor, Weights, parse_with, serialize_with, write_atomically};
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
@@ -16,7 +16,7 @@ use std::path::Path;
 #[serde(deny_unknown_fields)]
 pub struct TrainConfig {
     /// Learning rate over the run.
-    pub schedule: OneCycle,
+    pub schedule: Schedule,
     /// Optimiser constants.
     pub adamw: AdamWConfig,
     /// Largest global gradient norm.
@@ -28,7 +28,12 @@ pub struct TrainConfig {
 impl TrainConfig {
     /// The paper's constants for a run of `total_steps` with peak rate `max_lr`.
     pub fn new(max_lr: f64, total_steps: u64) -> Self {
-        Self { schedule: OneCycle::new(max_lr, total_steps), adamw: AdamWConfig::default(), clip_norm: 1.0, gamma: 0.8 }
+        Self::scheduled(Schedule::OneCycle(OneCycle::new(max_lr, total_steps)))
+    }
+
+    /// The paper's constants with another schedule.
+    pub fn scheduled(schedule: Schedule) -> Self {
+        Self { schedule, adamw: AdamWConfig::default(), clip_norm: 1.0, gamma: 0.8 }
     }
 }
 
@@ -267,6 +272,19 @@ impl TrainState {
         })?;
         (stats.epe, stats.loss) = (epe, total);
         Ok(stats)
+    }
+}
+
+impl NetworkConfig {
+    /// Mean end point error of these weights on a batch of pairs of side [`NetworkConfig::size_px`], over the mask, px.
+    ///
+    /// # Errors
+    /// The batch has wrong lengths or values, or the weights belong to another architecture.
+    pub fn end_point_error(&self, weights: &Weights, batch: &FlowBatch<'_>) -> Result<f32> {
+        let device = Device::flex();
+        let data = batch.to_device(self.size_px, &device)?;
+        let flow = self.build(weights, &device)?.infer(data.reference, data.real, self.iterations_infer);
+        Ok(end_point_error(&values(flow), &values(data.flow), &values(data.mask), batch.n))
     }
 }
 

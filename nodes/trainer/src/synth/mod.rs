@@ -89,6 +89,12 @@ impl SampleGenerator {
         Ok(Self { objects, config: Arc::new(config), seed })
     }
 
+    /// The objects.
+    #[must_use]
+    pub fn objects(&self) -> &ObjectPool {
+        &self.objects
+    }
+
     /// How many samples a scene serves.
     #[must_use]
     pub fn pairs_per_scene(&self) -> usize {

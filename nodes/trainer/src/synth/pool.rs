@@ -45,6 +45,22 @@ impl ObjectPool {
         Self { objects, names }
     }
 
+    /// Takes every n-th object out, for measuring on what a training never saw: (the rest, those taken out). Pools of fewer than
+    /// n objects stay whole, and nothing is taken.
+    #[must_use]
+    pub fn hold_out(self, every: usize) -> (Self, Option<Self>) {
+        if self.objects.len() < every {
+            return (self, None);
+        }
+        let (mut kept, mut held) = (Self { objects: vec![], names: vec![] }, Self { objects: vec![], names: vec![] });
+        for (place, (object, name)) in self.objects.into_iter().zip(self.names).enumerate() {
+            let pool = if (place + 1).is_multiple_of(every) { &mut held } else { &mut kept };
+            pool.objects.push(object);
+            pool.names.push(name);
+        }
+        (kept, Some(held))
+    }
+
     /// How many there are (at least one, when loaded).
     #[must_use]
     #[allow(clippy::len_without_is_empty)] // a pool is never empty

@@ -6,7 +6,9 @@ use crate::loss::{end_point_error, values};
 use crate::ops;
 use crate::refiner::batch::DeviceRefinerBatch;
 use crate::train::{StepStats, TrainState};
-use burn::tensor::Tensor;
+use crate::model::Model;
+use crate::weights::Weights;
+use burn::tensor::{Device, Tensor};
 
 /// Weight of the visibility's cross entropy in the loss.
 const VISIBILITY_WEIGHT: f32 = 1.0;
@@ -49,4 +51,18 @@ fn visible_error(refinement: &Refinement, data: &DeviceRefinerBatch, n: usize) -
     let flow = values(refinement.prediction.clone().narrow(1, 0, 2));
     let (truth, mask) = (data.target.clone().narrow(1, 0, 2), data.target.clone().narrow(1, 2, 1));
     end_point_error(&flow, &values(truth), &values(mask), n)
+}
+
+impl RefinerConfig {
+    /// Mean end point error of these weights on a batch of pairs of side [`RefinerConfig::size_px`], over what is seen, px.
+    ///
+    /// # Errors
+    /// The batch has wrong lengths or values, or the weights belong to another architecture.
+    pub fn end_point_error(&self, weights: &Weights, batch: &RefinerBatch<'_>) -> Result<f32> {
+        let device = Device::flex();
+        let data = batch.to_device(self.size_px, &device)?;
+        let refiner = self.build(weights, &device)?;
+        let refinement = refiner.forward(data.reference.clone(), data.real.clone(), self.iterations_infer);
+        Ok(visible_error(&refinement, &data, batch.n))
+    }
 }
