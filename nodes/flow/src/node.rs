@@ -1,7 +1,8 @@
+use crate::engine::{Model, Opener};
 use crate::{FlowError, interleave};
-use pseudoflow_inference::{Engine, EngineConfig, Input, Output, normalise, open};
+use pseudoflow_inference::{Engine, EngineConfig, Input, Output, normalise};
 use pseudoflow_msgs::{FlowFields, FlowFieldsHeader, NetworkWeights, ReferenceViews};
-use pseudoflow_network::{ExportOptions, NetworkConfig, Weights, export_onnx};
+use pseudoflow_network::{ComputeDevice, ExportOptions, NetworkConfig, Weights, export_onnx};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,7 +12,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FlowConfig {
-    /// The network: a `.onnx` file, or `.safetensors` weights that are exported to ONNX in memory.
+    /// The network: a `.onnx` file, or `.safetensors` weights, which become ONNX in memory or run as they are on a GPU.
     pub model: PathBuf,
     /// The network that `.safetensors` weights belong to.
     #[serde(default)]
@@ -25,6 +26,10 @@ pub struct FlowConfig {
     /// At most this many fields in one run of the network.
     #[serde(default = "default_batch")]
     pub max_batch: u32,
+    /// What computes: auto, cpu, vulkan[:N] or cuda[:N]. `auto` takes ONNX Runtime's CUDA where its library has it, else a
+    /// GPU of which this binary knows, else the processor; the log says which. The same bits come out on the processor only.
+    #[serde(default)]
+    pub device: ComputeDevice,
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
@@ -100,18 +105,28 @@ fn default_batch() -> u32 {
 /// When the file cannot be read or holds no such network.
 pub fn load_model(path: &Path, network: Network, size_px: u32, iterations: u32) -> Result<Vec<u8>, FlowError> {
     let failed = |cause: String| FlowError::Model { path: path.to_owned(), cause };
-    if path.extension().is_some_and(|extension| extension == "safetensors") {
-        let config = network.config();
-        let options = ExportOptions { size_px: size_px as usize, iterations: iterations as usize, batch: None };
-        let weights = Weights::load(path, &config).map_err(|error| failed(error.to_string()))?;
-        return export_onnx(&weights, &config, options).map_err(|error| failed(error.to_string()));
+    let options = ExportOptions { size_px: size_px as usize, iterations: iterations as usize, batch: None };
+    match load(path, network)? {
+        Model::Onnx(onnx) => Ok(onnx),
+        Model::Weights(weights) => {
+            export_onnx(&weights, &network.config(), options).map_err(|error| failed(error.to_string()))
+        }
     }
-    std::fs::read(path).map_err(|error| failed(error.to_string()))
+}
+
+fn load(path: &Path, network: Network) -> Result<Model, FlowError> {
+    let failed = |cause: String| FlowError::Model { path: path.to_owned(), cause };
+    if path.extension().is_some_and(|extension| extension == "safetensors") {
+        let weights = Weights::load(path, &network.config()).map_err(|error| failed(error.to_string()))?;
+        return Ok(Model::Weights(weights));
+    }
+    Ok(Model::Onnx(std::fs::read(path).map_err(|error| failed(error.to_string()))?))
 }
 
 /// Reference views in, flow fields out.
 pub struct FlowNode {
     config: FlowConfig,
+    opener: Opener,
     engine: Box<dyn Engine>,
     /// `None` while those of the start serve.
     weights_version: Option<u64>,
@@ -186,8 +201,8 @@ impl FlowNode {
         let engine = match self.before.take() {
             Some((version, engine)) if version == wanted => engine,
             // `ready` lets only frames through that want one of the two.
-            _ if newest == wanted => open(weights.onnx, &self.config.engine)?,
-            _ => open(weights.previous_onnx, &self.config.engine)?,
+            _ if newest == wanted => self.opener.open_weights(weights.weights)?,
+            _ => self.opener.open_weights(weights.previous)?,
         };
         let served = std::mem::replace(&mut self.engine, engine);
         let version = self.weights_version.replace(wanted);
@@ -242,11 +257,10 @@ impl Node for FlowNode {
     }
 
     fn create(config: FlowConfig, _context: &Context) -> Result<Self, NodeError> {
-        let onnx = load_model(&config.model, config.network, config.size_px, config.iterations)?;
-        let engine = open(&onnx, &config.engine)?;
+        let (opener, engine) = Opener::choose(&config, &load(&config.model, config.network)?)?;
         log::info!("{} computes flow of {} px with {}", engine.describe(), config.size_px, config.model.display());
         let (reference, real, planes) = (Vec::new(), Vec::new(), Vec::new());
-        let mut node = Self { config, engine, weights_version: None, before: None, reference, real, planes };
+        let mut node = Self { config, opener, engine, weights_version: None, before: None, reference, real, planes };
         node.warm_up()?;
         Ok(node)
     }

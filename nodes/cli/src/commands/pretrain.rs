@@ -1,5 +1,6 @@
 use anyhow::{Context as _, Result};
 use pseudoflow_imaging::{ObjectSet, RgbImage, save_png};
+use pseudoflow_network::ComputeDevice;
 use pseudoflow_trainer::initializer::{InitializerTraining, scene_sheet, train_initializer};
 use pseudoflow_trainer::pretrain::{PretrainConfig, TerminalProgress, WarmStart, pretrain};
 use pseudoflow_trainer::preview_sheet;
@@ -50,6 +51,9 @@ pub(crate) struct Args {
     /// this repository, which knows other objects; a flow network may be given too).
     #[arg(long)]
     warm_start: Option<PathBuf>,
+    /// What trains: auto, cpu, vulkan[:N] or cuda[:N]. A training may go on with another one.
+    #[arg(long, default_value = "auto")]
+    device: ComputeDevice,
     /// Goes on from the checkpoint.
     #[arg(long)]
     resume: bool,
@@ -76,7 +80,8 @@ impl Args {
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
-        (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
+        (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
+        config.warm_start = self.warm_start();
         config
     }
 
@@ -87,7 +92,8 @@ impl Args {
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
-        (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
+        (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
+        config.warm_start = self.warm_start();
         config
     }
 }

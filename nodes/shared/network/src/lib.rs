@@ -2,7 +2,9 @@
 
 mod config;
 mod detector;
+mod device;
 mod error;
+mod guard;
 mod kernels;
 mod loss;
 mod model;
@@ -19,6 +21,7 @@ pub use detector::{
     CORNERS, Cell, DetectionLoss, Detector, DetectorConfig, DetectorOutput, Grid, InstanceTruth, LossWeights, STRIDES,
     SURFACE_UNIT, SceneTruth, Trunk, detection_loss,
 };
+pub use device::{ComputeDevice, OpenDevice};
 pub use error::{NetworkError, Result};
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
 pub use model::{Init, Model, Parameter, TensorSpec};

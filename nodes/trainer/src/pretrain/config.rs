@@ -1,6 +1,6 @@
 use crate::TrainerError;
 use crate::synth::SynthConfig;
-use pseudoflow_network::{Architecture, NetworkConfig};
+use pseudoflow_network::{Architecture, ComputeDevice, NetworkConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -46,6 +46,9 @@ pub struct PretrainConfig {
     /// Continue from the checkpoint, which must exist.
     #[serde(default)]
     pub resume: bool,
+    /// What trains. A run may go on with another device; it then has other bits.
+    #[serde(default)]
+    pub device: ComputeDevice,
     /// Threads that make samples beside the training step. They do not change the result.
     #[serde(default = "defaults::data_threads")]
     pub data_threads: usize,
@@ -122,6 +125,7 @@ impl PretrainConfig {
             hidden_weight: 0.0,
             checkpoint_every: defaults::checkpoint_every(),
             resume: false,
+            device: ComputeDevice::default(),
             data_threads: defaults::data_threads(),
             synth: SynthConfig::default(),
         }

@@ -21,7 +21,7 @@ pub(crate) use data::push_planes;
 pub(crate) use log::write_atomically;
 pub(crate) use log::{Curve, Row, RunLog};
 use pseudoflow_imaging::ObjectSet;
-use pseudoflow_network::{Device, NetworkConfig, TrainConfig, TrainState, Weights};
+use pseudoflow_network::{ComputeDevice, NetworkConfig, NetworkError, TrainConfig, TrainState, Weights};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -104,8 +104,8 @@ pub struct PretrainSummary {
 /// them.
 ///
 /// # Errors
-/// A bad configuration, object set or start weights (before anything is written); a checkpoint of another run; a
-/// loss that is not finite (the last checkpoint stays); a full disk.
+/// A bad configuration, object set, device or start weights (before anything is written); a checkpoint of another run; a
+/// loss that is not finite (the last checkpoint stays); a GPU that fails (a checkpoint is written); a full disk.
 pub fn pretrain(config: &PretrainConfig, progress: &mut dyn Progress) -> Result<PretrainSummary, TrainerError> {
     config.check()?;
     let network = config.resolve_network()?;
@@ -119,7 +119,8 @@ pub fn pretrain(config: &PretrainConfig, progress: &mut dyn Progress) -> Result<
     while state.step() < config.steps && !progress.should_stop() {
         let batch = prefetch.next(state.step() - first)?;
         pairs += batch.pairs();
-        log.reports.push(step(&mut state, &batch, network.size_px)?);
+        let report = step(&mut state, &batch, network.size_px);
+        log.reports.push(report.inspect_err(|e| keep(e, || save_checkpoint(config, &state, &log)))?);
         let (loss_px, epe_px) = recent(&log, 100);
         progress.step(state.step(), &format!("loss {loss_px:.3} px  EPE {epe_px:.3} px"));
         if state.step().is_multiple_of(config.checkpoint_every) {
@@ -154,7 +155,7 @@ fn open(
     network: &NetworkConfig,
     objects: &ObjectSet,
 ) -> Result<(TrainState, RunLog<StepReport>), TrainerError> {
-    let device = Device::flex();
+    let device = config.device.open()?.device;
     let (checkpoint, log_path) = (config.checkpoint_path(), config.out.with_extension("csv"));
     let description = describe(config);
     if config.resume {
@@ -184,8 +185,19 @@ fn open(
 
 /// What decides the weights: the configuration without what may change on resuming.
 fn describe(config: &PretrainConfig) -> String {
-    let fixed = PretrainConfig { resume: false, data_threads: 1, checkpoint_every: 1, ..config.clone() };
+    let device = ComputeDevice::default();
+    let fixed = PretrainConfig { resume: false, device, data_threads: 1, checkpoint_every: 1, ..config.clone() };
     serde_json::to_string_pretty(&fixed).unwrap_or_default()
+}
+
+/// When a GPU fails, the steps before are whole: they go to the checkpoint, whatever its interval.
+pub(crate) fn keep(error: &TrainerError, save: impl FnOnce() -> Result<(), TrainerError>) {
+    if let TrainerError::Network(NetworkError::DeviceFailed { .. }) = error {
+        match save() {
+            Ok(()) => ::log::error!("the device failed; all steps before are in the checkpoint (`--resume`)"),
+            Err(error) => ::log::error!("the device failed, and the checkpoint could not be written: {error}"),
+        }
+    }
 }
 
 /// Refuses to resume with another configuration than the kept one.
