@@ -2,8 +2,8 @@
 
 use crate::FlowError;
 use crate::node::Pair;
-use pseudoflow_inference::{Engine, EngineConfig, Input, Output, normalise, open};
-use pseudoflow_network::{REFERENCE_CHANNELS, is_refiner_onnx, reference_geometry};
+use pseudoflow_inference::{Engine, Input, Output, normalise};
+use pseudoflow_network::{REFERENCE_CHANNELS, reference_geometry};
 
 /// A RAFT or the refiner, ready to run on crops of one size.
 pub(crate) struct Loaded {
@@ -25,11 +25,10 @@ pub(crate) struct Answer<'a> {
 }
 
 impl Loaded {
-    /// Opens the bytes of an ONNX file for crops of `size_px`.
-    pub(crate) fn open(onnx: &[u8], config: &EngineConfig, size_px: usize) -> Result<Self, FlowError> {
+    /// A network on an engine, for crops of `size_px`.
+    pub(crate) fn new(engine: Box<dyn Engine>, is_refiner: bool, size_px: usize) -> Self {
         let (reference, real, flow_px, certainty) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        let (engine, is_refiner) = (open(onnx, config)?, is_refiner_onnx(onnx));
-        Ok(Self { engine, is_refiner, size_px, reference, real, flow_px, certainty })
+        Self { engine, is_refiner, size_px, reference, real, flow_px, certainty }
     }
 
     /// Engine and network, for the log.

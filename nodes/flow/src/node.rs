@@ -1,8 +1,9 @@
+use crate::engine::{Model, Opener};
 use crate::loaded::Loaded;
 use crate::{FlowError, interleave};
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{FlowFields, FlowFieldsHeader, NetworkWeights, ReferenceViews};
-use pseudoflow_network::{ExportOptions, Model, NetworkConfig, RefinerConfig, Weights, export_onnx, export_refiner};
+use pseudoflow_network::{ComputeDevice, ExportOptions, FlowNetwork, NetworkConfig, NetworkError, RefinerConfig};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FlowConfig {
-    /// The network: a `.onnx` file, or `.safetensors` weights that are exported to ONNX in memory.
+    /// The network: a `.onnx` file, or `.safetensors` weights, which become ONNX in memory or run as they are on a GPU.
     pub model: PathBuf,
     /// The network that `.safetensors` weights belong to.
     #[serde(default)]
@@ -26,6 +27,10 @@ pub struct FlowConfig {
     /// At most this many fields in one run of the network.
     #[serde(default = "default_batch")]
     pub max_batch: u32,
+    /// What computes: auto, cpu, vulkan[:N] or cuda[:N]. `auto` takes ONNX Runtime's CUDA where its library has it, else a
+    /// GPU of which this binary knows, else the processor; the log says which. The same bits come out on the processor only.
+    #[serde(default)]
+    pub device: ComputeDevice,
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
@@ -76,20 +81,19 @@ pub enum Network {
 }
 
 impl Network {
-    /// The configuration of a RAFT; `None` for the refiner.
-    fn raft(self) -> Option<NetworkConfig> {
-        match self {
-            Self::Auto | Self::Nano => Some(NetworkConfig::nano()),
-            Self::Small => Some(NetworkConfig::small()),
-            Self::Paper => Some(NetworkConfig::paper()),
-            Self::Refiner => None,
-        }
-    }
-
-    /// `Auto` decided by the weights of a file.
-    fn resolve(self, path: &Path) -> Result<Self, pseudoflow_network::NetworkError> {
-        let refiner = || Ok(Weights::read_info(path)?.config_hash == Model::hash(&RefinerConfig::default()));
-        Ok(if self == Self::Auto && refiner()? { Self::Refiner } else { self })
+    /// The network of a file.
+    ///
+    /// # Errors
+    /// The file is unreadable or damaged.
+    pub fn of(self, path: &Path) -> Result<FlowNetwork, NetworkError> {
+        let is_weights = path.extension().is_some_and(|extension| extension == "safetensors");
+        Ok(match self {
+            Self::Auto if is_weights => FlowNetwork::of_weights(path)?,
+            Self::Auto | Self::Nano => FlowNetwork::Raft(NetworkConfig::nano()),
+            Self::Small => FlowNetwork::Raft(NetworkConfig::small()),
+            Self::Paper => FlowNetwork::Raft(NetworkConfig::paper()),
+            Self::Refiner => FlowNetwork::Refiner(RefinerConfig::default()),
+        })
     }
 }
 
@@ -108,35 +112,30 @@ fn default_batch() -> u32 {
 /// When the file cannot be read or holds no such network.
 pub fn load_model(path: &Path, network: Network, size_px: u32, iterations: Option<u32>) -> Result<Vec<u8>, FlowError> {
     let failed = |cause: String| FlowError::Model { path: path.to_owned(), cause };
-    if path.extension().is_some_and(|extension| extension == "safetensors") {
-        return export(path, network, size_px, iterations).map_err(|error| failed(error.to_string()));
-    }
-    std::fs::read(path).map_err(|error| failed(error.to_string()))
-}
-
-fn export(
-    path: &Path,
-    network: Network,
-    size_px: u32,
-    iterations: Option<u32>,
-) -> Result<Vec<u8>, pseudoflow_network::NetworkError> {
-    let options = |own: usize| ExportOptions {
-        size_px: size_px as usize,
-        iterations: iterations.map_or(own, |given| given as usize),
-        batch: None,
-    };
-    match network.resolve(path)?.raft() {
-        Some(config) => export_onnx(&Weights::load(path, &config)?, &config, options(config.iterations_infer)),
-        None => {
-            let config = RefinerConfig::default();
-            export_refiner(&Weights::load(path, &config)?, &config, options(config.iterations_infer))
+    let network = network.of(path).map_err(|error| failed(error.to_string()))?;
+    match load(path, &network)? {
+        Model::Onnx(onnx) => Ok(onnx),
+        Model::Weights(weights) => {
+            let iterations = iterations.map_or(network.iterations_infer(), |given| given as usize);
+            let options = ExportOptions { size_px: size_px as usize, iterations, batch: None };
+            network.export(&weights, options).map_err(|error| failed(error.to_string()))
         }
     }
+}
+
+fn load(path: &Path, network: &FlowNetwork) -> Result<Model, FlowError> {
+    let failed = |cause: String| FlowError::Model { path: path.to_owned(), cause };
+    if path.extension().is_some_and(|extension| extension == "safetensors") {
+        let weights = network.load(path).map_err(|error| failed(error.to_string()))?;
+        return Ok(Model::Weights(weights));
+    }
+    Ok(Model::Onnx(std::fs::read(path).map_err(|error| failed(error.to_string()))?))
 }
 
 /// Reference views in, flow fields out.
 pub struct FlowNode {
     config: FlowConfig,
+    opener: Opener,
     network: Loaded,
     /// `None` while those of the start serve.
     weights_version: Option<u64>,
@@ -207,12 +206,11 @@ impl FlowNode {
         if self.weights_version == Some(wanted) {
             return Ok(());
         }
-        let open = |onnx: &[u8]| Loaded::open(onnx, &self.config.engine, self.config.size_px as usize);
         let network = match self.before.take() {
             Some((version, network)) if version == wanted => network,
             // `ready` lets only frames through that want one of the two.
-            _ if newest == wanted => open(weights.onnx)?,
-            _ => open(weights.previous_onnx)?,
+            _ if newest == wanted => self.opener.open_weights(weights.weights)?,
+            _ => self.opener.open_weights(weights.previous)?,
         };
         let served = std::mem::replace(&mut self.network, network);
         let version = self.weights_version.replace(wanted);
@@ -259,12 +257,12 @@ impl Node for FlowNode {
     }
 
     fn create(config: FlowConfig, _context: &Context) -> Result<Self, NodeError> {
-        let onnx = load_model(&config.model, config.network, config.size_px, config.iterations)?;
-        let mut network = Loaded::open(&onnx, &config.engine, config.size_px as usize)?;
+        let network = config.network.of(&config.model)?;
+        let (opener, mut network) = Opener::choose(&config, &network, &load(&config.model, &network)?)?;
         log::info!("{} computes flow of {} px with {}", network.describe(), config.size_px, config.model.display());
         network.warm_up()?;
         let (planes, certainty) = (Vec::new(), Vec::new());
-        Ok(Self { config, network, weights_version: None, before: None, planes, certainty })
+        Ok(Self { config, opener, network, weights_version: None, before: None, planes, certainty })
     }
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {

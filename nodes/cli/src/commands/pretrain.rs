@@ -1,5 +1,6 @@
 use anyhow::{Context as _, Result, bail};
 use pseudoflow_imaging::{RgbImage, save_png};
+use pseudoflow_network::ComputeDevice;
 use pseudoflow_trainer::initializer::{InitializerTraining, scene_sheet, train_initializer};
 use pseudoflow_trainer::pretrain::{Course, PretrainConfig, TerminalProgress, WarmStart, pretrain};
 use pseudoflow_trainer::preview_sheet;
@@ -60,6 +61,9 @@ pub(crate) struct Args {
     /// this repository, which knows other objects; a flow network may be given too).
     #[arg(long)]
     warm_start: Option<PathBuf>,
+    /// What trains: auto, cpu, vulkan[:N] or cuda[:N]. A training may go on with another one.
+    #[arg(long, default_value = "auto")]
+    device: ComputeDevice,
     /// Goes on from the checkpoint.
     #[arg(long)]
     resume: bool,
@@ -89,7 +93,8 @@ impl Args {
         config.hold_out = self.hold_out.unwrap_or(config.hold_out);
         config.checkpoint_every = self.checkpoint_every.unwrap_or(config.checkpoint_every);
         config.schedule = self.cool_down.map(|cool_down| Course::Plateau { warm_up: 500, cool_down });
-        (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
+        (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
+        config.warm_start = self.warm_start();
         config
     }
 
@@ -101,7 +106,8 @@ impl Args {
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
-        (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
+        (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
+        config.warm_start = self.warm_start();
         Ok(config)
     }
 }

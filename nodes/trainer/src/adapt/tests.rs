@@ -5,7 +5,7 @@ use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FlowFieldsHeader, FrameKey, InstanceLabels, Message, NetworkWeights, Partner,
     PseudoLabels, PseudoLabelsHeader, ReferenceViews, ReferenceViewsHeader,
 };
-use pseudoflow_network::{NetworkConfig, Weights};
+use pseudoflow_network::{ComputeDevice, NetworkConfig, Weights};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use std::path::Path;
 
@@ -28,6 +28,7 @@ fn config(folder: &Path, steps: u64) -> TrainerConfig {
     TrainerConfig {
         network: network.display().to_string(),
         size_px: SIZE,
+        device: ComputeDevice::Cpu,
         frames_per_step: 2,
         publish_every: 2,
         max_lr: 4e-4,
@@ -115,7 +116,7 @@ fn feed(node: &mut TrainerNode, frames: impl IntoIterator<Item = u64>) -> Vec<(u
         node.process(&inputs(frame, true), &mut out, &context()).unwrap();
         for (_, bytes) in &out.messages {
             let weights = NetworkWeights::view(bytes).unwrap();
-            sent.push((weights.header.version, weights.onnx.len(), weights.previous_onnx.len()));
+            sent.push((weights.header.version, weights.weights.len(), weights.previous.len()));
         }
     }
     sent
@@ -211,10 +212,10 @@ fn weights_go_out_at_the_start_and_every_so_many_steps_with_those_before() {
     let mut out = InMemory::default();
     node.begin(&mut out, &context()).unwrap();
     let first = NetworkWeights::view(&out.messages[0].1).unwrap();
-    assert_eq!((first.header.version, first.previous_onnx.len(), first.header.frames_per_version), (0, 0, 4));
+    assert_eq!((first.header.version, first.previous.len(), first.header.frames_per_version), (0, 0, 4));
     let sent = feed(&mut node, 0..8);
     assert_eq!(sent.iter().map(|s| s.0).collect::<Vec<_>>(), [1, 2]);
-    assert!(sent.iter().all(|(_, onnx, previous)| *onnx > 0 && *previous > 0));
+    assert!(sent.iter().all(|(_, weights, previous)| *weights > 0 && *previous > 0));
 }
 
 #[test]

@@ -1,7 +1,6 @@
 use crate::TrainerError;
 use crate::synth::SynthConfig;
-use super::networks::Named;
-use pseudoflow_network::{Architecture, NetworkConfig, Plateau, Schedule, TrainConfig};
+use pseudoflow_network::{Architecture, ComputeDevice, FlowNetwork, NetworkConfig, Plateau, Schedule, TrainConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -59,6 +58,9 @@ pub struct PretrainConfig {
     /// Continue from the checkpoint, which must exist.
     #[serde(default)]
     pub resume: bool,
+    /// What trains. A run may go on with another device; it then has other bits.
+    #[serde(default)]
+    pub device: ComputeDevice,
     /// Threads that make samples beside the training step. They do not change the result.
     #[serde(default = "defaults::data_threads")]
     pub data_threads: usize,
@@ -161,6 +163,7 @@ impl PretrainConfig {
             validate_every: defaults::validate_every(),
             checkpoint_every: defaults::checkpoint_every(),
             resume: false,
+            device: ComputeDevice::default(),
             data_threads: defaults::data_threads(),
             synth: SynthConfig::default(),
         }
@@ -197,11 +200,11 @@ impl PretrainConfig {
     ///
     /// # Errors
     /// When the YAML file is bad.
-    pub(crate) fn resolve_network(&self) -> Result<Named, TrainerError> {
-        let mut network = Named::new(&self.network)?;
+    pub(crate) fn resolve_network(&self) -> Result<FlowNetwork, TrainerError> {
+        let mut network = FlowNetwork::named(&self.network)?;
         let iterations = match &mut network {
-            Named::Raft(raft) => &mut raft.iterations_train,
-            Named::Refiner(refiner) => &mut refiner.iterations_train,
+            FlowNetwork::Raft(raft) => &mut raft.iterations_train,
+            FlowNetwork::Refiner(refiner) => &mut refiner.iterations_train,
         };
         *iterations = self.iterations.unwrap_or(*iterations);
         Ok(network)
@@ -212,23 +215,22 @@ impl PretrainConfig {
     /// # Errors
     /// When the YAML file is bad.
     pub fn network_size_px(&self) -> Result<usize, TrainerError> {
-        Ok(match self.resolve_network()? {
-            Named::Raft(raft) => raft.size_px,
-            Named::Refiner(refiner) => refiner.size_px,
-        })
+        Ok(self.resolve_network()?.size_px())
     }
 
     /// The weights file to start from, or `None` for random weights.
     ///
     /// # Errors
     /// When the default is meant and not there.
-    pub(super) fn start_weights(&self, network: &Named) -> Result<Option<PathBuf>, TrainerError> {
+    pub(super) fn start_weights(&self, network: &FlowNetwork) -> Result<Option<PathBuf>, TrainerError> {
         Ok(match (&self.warm_start, network) {
             (WarmStart::File(path), _) => Some(path.clone()),
             (WarmStart::Random, _) => None,
-            (WarmStart::Auto, Named::Refiner(_)) => Some(shipped(SHIPPED_REFINER)?),
-            (WarmStart::Auto, Named::Raft(raft)) if raft.arch == Architecture::Small => Some(shipped(SHIPPED_WEIGHTS)?),
-            (WarmStart::Auto, Named::Raft(_)) => None,
+            (WarmStart::Auto, FlowNetwork::Refiner(_)) => Some(shipped(SHIPPED_REFINER)?),
+            (WarmStart::Auto, FlowNetwork::Raft(raft)) if raft.arch == Architecture::Small => {
+                Some(shipped(SHIPPED_WEIGHTS)?)
+            }
+            (WarmStart::Auto, FlowNetwork::Raft(_)) => None,
         })
     }
 
@@ -263,10 +265,11 @@ impl PretrainConfig {
 
 /// A RAFT preset by its name, or that of a YAML file.
 pub(crate) fn network_named(name: &str) -> Result<NetworkConfig, TrainerError> {
-    match Named::new(name)? {
-        Named::Raft(raft) => Ok(raft),
-        Named::Refiner(_) => {
-            Err(TrainerError::Config { field: "network".into(), wanted: "nano, small, paper or a YAML file of a RAFT here" })
-        }
+    match FlowNetwork::named(name)? {
+        FlowNetwork::Raft(raft) => Ok(raft),
+        FlowNetwork::Refiner(_) => Err(TrainerError::Config {
+            field: "network".into(),
+            wanted: "nano, small, paper or a YAML file of a RAFT here",
+        }),
     }
 }

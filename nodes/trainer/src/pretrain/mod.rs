@@ -23,7 +23,8 @@ use data::Prefetch;
 pub(crate) use data::push_planes;
 pub(crate) use log::write_atomically;
 pub(crate) use log::{Curve, Row, RunLog};
-use networks::{Named, PairNetwork};
+use networks::PairNetwork;
+use pseudoflow_network::{ComputeDevice, FlowNetwork, NetworkError};
 use run::Run;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -108,13 +109,13 @@ pub struct PretrainSummary {
 /// them.
 ///
 /// # Errors
-/// A bad configuration, object set or start weights (before anything is written); a checkpoint of another run; a
-/// loss that is not finite (the last checkpoint stays); a full disk.
+/// A bad configuration, object set, device or start weights (before anything is written); a checkpoint of another run; a
+/// loss that is not finite (the last checkpoint stays); a GPU that fails (a checkpoint is written); a full disk.
 pub fn pretrain(config: &PretrainConfig, progress: &mut dyn Progress) -> Result<PretrainSummary, TrainerError> {
     config.check()?;
     match config.resolve_network()? {
-        Named::Raft(network) => train(config, network, progress),
-        Named::Refiner(network) => train(config, network, progress),
+        FlowNetwork::Raft(network) => train(config, network, progress),
+        FlowNetwork::Refiner(network) => train(config, network, progress),
     }
 }
 
@@ -139,7 +140,8 @@ fn train<M: PairNetwork>(
     while run.state.step() < config.steps && !progress.should_stop() {
         let batch = prefetch.next(run.state.step() - first)?;
         pairs += batch.pairs();
-        run.step(&batch)?;
+        let step = run.step(&batch);
+        step.inspect_err(|e| keep(e, || run.save(config, &validation)))?;
         let (loss_px, epe_px) = recent(&run.log, 100);
         let seen = validation.last_text();
         progress.step(run.state.step(), &format!("loss {loss_px:.3} px  EPE {epe_px:.3} px{seen}"));
@@ -152,13 +154,24 @@ fn train<M: PairNetwork>(
 
 /// What decides the weights: the configuration without what may change on resuming.
 fn describe(config: &PretrainConfig) -> String {
-    let mut fixed = PretrainConfig { resume: false, data_threads: 1, checkpoint_every: 1, ..config.clone() };
+    let device = ComputeDevice::default();
+    let mut fixed = PretrainConfig { resume: false, device, data_threads: 1, checkpoint_every: 1, ..config.clone() };
     fixed.validate_every = 1;
     if config.on_plateau() {
         // How long it lasts and how it ends may be decided at any time.
         (fixed.steps, fixed.schedule) = (1, None);
     }
     serde_json::to_string_pretty(&fixed).unwrap_or_default()
+}
+
+/// When a GPU fails, the steps before are whole: they go to the checkpoint, whatever its interval.
+pub(crate) fn keep(error: &TrainerError, save: impl FnOnce() -> Result<(), TrainerError>) {
+    if let TrainerError::Network(NetworkError::DeviceFailed { .. }) = error {
+        match save() {
+            Ok(()) => ::log::error!("the device failed; all steps before are in the checkpoint (`--resume`)"),
+            Err(error) => ::log::error!("the device failed, and the checkpoint could not be written: {error}"),
+        }
+    }
 }
 
 /// Refuses to resume with another configuration than the kept one.

@@ -3,29 +3,6 @@
 use super::data::Batch;
 use crate::TrainerError;
 use pseudoflow_network::{Model, NetworkConfig, NetworkError, RefinerConfig, StepStats, TrainState, Weights};
-use std::path::Path;
-
-/// A network by the name that a configuration gives it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Named {
-    /// A RAFT.
-    Raft(NetworkConfig),
-    /// The refiner for all objects.
-    Refiner(RefinerConfig),
-}
-
-impl Named {
-    /// A preset by its name, or the RAFT of a YAML file.
-    pub(crate) fn new(name: &str) -> Result<Self, NetworkError> {
-        Ok(match name {
-            "refiner" => Self::Refiner(RefinerConfig::default()),
-            "nano" => Self::Raft(NetworkConfig::nano()),
-            "small" => Self::Raft(NetworkConfig::small()),
-            "paper" => Self::Raft(NetworkConfig::paper()),
-            path => Self::Raft(NetworkConfig::from_yaml_file(Path::new(path))?),
-        })
-    }
-}
 
 /// A network that trains on synthetic pairs.
 pub(crate) trait PairNetwork: Model {

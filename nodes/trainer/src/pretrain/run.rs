@@ -4,11 +4,11 @@ use super::data::Batch;
 use super::networks::PairNetwork;
 use super::validation::Validation;
 use super::{
-    Course, Named, PretrainConfig, PretrainSummary, RunLog, StepReport, check_same_run, describe, recent, write_atomically,
+    Course, PretrainConfig, PretrainSummary, RunLog, StepReport, check_same_run, describe, recent, write_atomically,
 };
 use crate::TrainerError;
 use crate::synth::ObjectPool;
-use pseudoflow_network::{Device, TrainState, Weights};
+use pseudoflow_network::{FlowNetwork, TrainState, Weights};
 use std::path::PathBuf;
 
 /// Name of the moving average in a checkpoint.
@@ -41,7 +41,7 @@ impl<M: PairNetwork> Run<M> {
         };
         weights.info.objects = objects.names().to_vec();
         let average = Some((weights.clone(), config.averaged_steps())).filter(|(_, steps)| *steps > 0);
-        let state = TrainState::new(network, config.train_config(), weights, &Device::flex())?;
+        let state = TrainState::new(network, config.train_config(), weights, &config.device.open()?.device)?;
         if let Some(folder) = config.out.parent().filter(|f| !f.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder).map_err(TrainerError::io(folder))?;
         }
@@ -54,7 +54,7 @@ impl<M: PairNetwork> Run<M> {
         let path = config.resumed_checkpoint()?;
         ::log::info!("going on from {}", path.display());
         let names: &[&str] = if config.averaged_steps() > 0 { &[AVERAGE] } else { &[] };
-        let (mut state, averages) = TrainState::load_with(&path, network, &Device::flex(), names)?;
+        let (mut state, averages) = TrainState::load_with(&path, network, &config.device.open()?.device, names)?;
         state.config = config.train_config();
         let log = RunLog::resumed(config.out.with_extension("csv"), state.step())?;
         let average = averages.into_iter().next().map(|weights| (weights, config.averaged_steps()));
@@ -171,7 +171,7 @@ impl PretrainConfig {
 impl PretrainConfig {
     /// The course of the learning rate.
     pub(super) fn course(&self) -> Course {
-        let refiner = matches!(Named::new(&self.network), Ok(Named::Refiner(_)));
+        let refiner = FlowNetwork::named(&self.network).is_ok_and(|network| network.is_refiner());
         let default = if refiner { Course::Plateau { warm_up: 500, cool_down: 0 } } else { Course::OneCycle };
         self.schedule.unwrap_or(default)
     }

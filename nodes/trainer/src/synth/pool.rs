@@ -26,7 +26,11 @@ impl ObjectPool {
         let triangles: usize = pool.objects.iter().map(|o| o.mesh.triangles.len()).sum();
         log::info!("{} objects of {} folders, {triangles} triangles", pool.len(), folders.len());
         for object in pool.objects.iter().filter(|o| o.mesh.texture.is_none() && o.mesh.colours.is_empty()) {
-            log::warn!("object {} ({}) has neither texture nor vertex colours: it is drawn light grey", object.id, object.name);
+            log::warn!(
+                "object {} ({}) has neither texture nor vertex colours: it is drawn light grey",
+                object.id,
+                object.name
+            );
         }
         Ok(pool)
     }

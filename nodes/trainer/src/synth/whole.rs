@@ -1,9 +1,9 @@
 //! Synthetic images of whole scenes, for the initializer (method.md, pipeline step 1).
 
-use super::random::{Draw, stream};
 use super::config::CameraConfig;
 use super::picture::Picture;
 use super::pool::ObjectPool;
+use super::random::{Draw, stream};
 use super::scene::SyntheticScene;
 use super::sensor::{Sensor, mean_light};
 use super::window::{SAMPLES, Window};

@@ -118,6 +118,7 @@ pub(super) fn pipeline(args: &Args, weights: &Path) -> Result<Pipeline> {
             size_px: args.size,
             iterations: Some(12),
             max_batch: 16,
+            device: args.device,
             engine: EngineConfig::default(),
             lockstep: None,
         },

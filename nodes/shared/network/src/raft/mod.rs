@@ -18,7 +18,8 @@ pub(crate) use layout::{LEVELS, List};
 
 use crate::config::{Architecture, NetworkConfig, check_size};
 use crate::error::{NetworkError, Result};
-use crate::model::{Model, Parameter, Source};
+use crate::guard::guarded_on;
+use crate::model::{Model, Parameter, Source, read_together};
 use crate::ops;
 use crate::weights::Weights;
 use burn::tensor::{Device, Tensor, TensorData, activation};
@@ -73,7 +74,7 @@ impl Raft {
     /// [`Self::infer`] on plain slices of `n` NCHW image pairs of side `size_px`; returns (n, 2, S, S).
     ///
     /// # Errors
-    /// The size is not allowed or a slice has another length.
+    /// The size is not allowed, a slice has another length, or a GPU failed.
     pub fn infer_slices(
         &self,
         reference: &[f32],
@@ -91,8 +92,10 @@ impl Raft {
             }
             Ok(Tensor::<4>::from_data(TensorData::new(data.to_vec(), shape), device))
         };
-        let flow = self.infer(image("reference", reference)?, image("real", real)?, iterations);
-        Ok(flow.into_data().try_into_vec::<f32>().expect("the network works in f32"))
+        guarded_on(device, || {
+            let flow = self.infer(image("reference", reference)?, image("real", real)?, iterations);
+            Ok(read_together([flow])?.remove(0))
+        })
     }
 
     /// Calls `each(i, flow at 1/8 (N, 2, S/8, S/8), hidden state)` after each iteration.

@@ -2,11 +2,11 @@
 
 use super::{Refinement, RefinerBatch, RefinerConfig};
 use crate::error::Result;
-use crate::loss::{end_point_error, values};
+use crate::loss::values;
+use crate::model::Model;
 use crate::ops;
 use crate::refiner::batch::DeviceRefinerBatch;
 use crate::train::{StepStats, TrainState};
-use crate::model::Model;
 use crate::weights::Weights;
 use burn::tensor::{Device, Tensor};
 
@@ -35,22 +35,22 @@ impl TrainState<RefinerConfig> {
     pub fn train_step(&mut self, batch: &RefinerBatch<'_>) -> Result<StepStats> {
         let data = batch.to_device(self.network.size_px, &self.device().autodiff())?;
         let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
-        let mut epe = f32::NAN;
-        let mut stats = self.step_with(|refiner| {
+        let (stats, measured) = self.step_measuring(|refiner| {
             let refinement = refiner.forward(data.reference.clone(), data.real.clone(), iterations);
-            epe = visible_error(&refinement, &data, batch.n);
-            refiner_loss(&refinement, &data, gamma)
+            let epe = visible_error(&refinement, &data);
+            (refiner_loss(&refinement, &data, gamma), vec![epe])
         })?;
-        stats.epe = epe;
-        Ok(stats)
+        Ok(StepStats { epe: measured[0], ..stats })
     }
 }
 
-/// Mean end point error of the prediction over what is seen, px.
-fn visible_error(refinement: &Refinement, data: &DeviceRefinerBatch, n: usize) -> f32 {
-    let flow = values(refinement.prediction.clone().narrow(1, 0, 2));
-    let (truth, mask) = (data.target.clone().narrow(1, 0, 2), data.target.clone().narrow(1, 2, 1));
-    end_point_error(&flow, &values(truth), &values(mask), n)
+/// Mean end point error of the prediction over what is seen, px; a tensor of shape (1).
+fn visible_error(refinement: &Refinement, data: &DeviceRefinerBatch) -> Tensor<1> {
+    let flow = refinement.prediction.clone().narrow(1, 0, 2).detach();
+    let difference = flow - data.target.clone().narrow(1, 0, 2);
+    let length = (difference.clone() * difference).sum_dim(1).sqrt();
+    let mask = data.target.clone().narrow(1, 2, 1);
+    (length * mask.clone()).sum() / mask.sum().clamp_min(1.0)
 }
 
 impl RefinerConfig {
@@ -63,6 +63,6 @@ impl RefinerConfig {
         let data = batch.to_device(self.size_px, &device)?;
         let refiner = self.build(weights, &device)?;
         let refinement = refiner.forward(data.reference.clone(), data.real.clone(), self.iterations_infer);
-        Ok(visible_error(&refinement, &data, batch.n))
+        Ok(values(visible_error(&refinement, &data))[0])
     }
 }
