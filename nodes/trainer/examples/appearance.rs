@@ -16,10 +16,16 @@ fn main() -> Result<(), Error> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let number = |i: usize, default: u64| args.get(i).map_or(Ok(default), |v| v.parse());
     let rows = match args.first().map(String::as_str) {
-        Some("synth") if args.len() > 1 => synthetic(&args[1], number(2, 300)?, number(3, 128)?, number(4, 1)?, args.get(5))?,
-        Some("bop") if args.len() > 3 => {
-            photographs(Path::new(&args[1]), Path::new(&args[2]), Path::new(&args[3]), number(4, 128)? as u32, number(5, 3)?)?
+        Some("synth") if args.len() > 1 => {
+            synthetic(&args[1], number(2, 300)?, number(3, 128)?, number(4, 1)?, args.get(5))?
         }
+        Some("bop") if args.len() > 3 => photographs(
+            Path::new(&args[1]),
+            Path::new(&args[2]),
+            Path::new(&args[3]),
+            number(4, 128)? as u32,
+            number(5, 3)?,
+        )?,
         _ => return Err("usage: appearance synth MODELS ... | bop MODELS SCENE POSES.json ...".into()),
     };
     print(&rows);
@@ -183,7 +189,8 @@ fn erode(mask: &[u8], n: usize, by: usize, object: bool) -> Vec<bool> {
     let far = |i: usize| {
         let (x, y) = (i % n, i / n);
         let mut around = (y.saturating_sub(by)..(y + by + 1).min(n)).step_by(by.div_ceil(4).max(1));
-        around.all(|v| (x.saturating_sub(by)..(x + by + 1).min(n)).step_by(by.div_ceil(4).max(1)).all(|u| is(v * n + u)))
+        around
+            .all(|v| (x.saturating_sub(by)..(x + by + 1).min(n)).step_by(by.div_ceil(4).max(1)).all(|u| is(v * n + u)))
     };
     (0..n * n).map(|i| is(i) && far(i)).collect()
 }

@@ -11,6 +11,7 @@ use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_initializer::{CompareConfig, InitializerConfig};
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
+use pseudoflow_network::ComputeDevice;
 use pseudoflow_pnp::PnpNodeConfig;
 use pseudoflow_renderer::RendererConfig;
 use std::path::{Path, PathBuf};
@@ -50,19 +51,22 @@ pub(crate) struct Args {
     /// Folder for `report.json` and `report.html`.
     #[arg(long)]
     report: Option<PathBuf>,
-    /// The network that the weights belong to: nano, small or paper.
-    #[arg(long, default_value = "nano")]
+    /// The network that the weights belong to: auto (as the weights say), refiner, nano, small or paper.
+    #[arg(long, default_value = "auto")]
     network: String,
     /// Width and height of the crops, pixels; several, for one pass after the other (`128,256`): the last one goes on.
     #[arg(long, value_delimiter = ',', default_value = "128")]
     size: Vec<u32>,
     /// Iterations of the network.
-    #[arg(long, default_value_t = 12)]
-    iterations: u32,
+    #[arg(long)]
+    iterations: Option<u32>,
     /// Refinement passes.
     #[arg(long, default_value_t = 1)]
     passes: u32,
-    /// Engine of the flow network: auto, onnxruntime or rten.
+    /// What computes flow: auto, cpu, vulkan[:N] or cuda[:N].
+    #[arg(long, default_value = "auto")]
+    device: ComputeDevice,
+    /// Engine of the flow network: auto, onnxruntime, rten or burn.
     #[arg(long, default_value = "auto")]
     backend: String,
     /// ONNX Runtime's library; else `ORT_DYLIB_PATH`, as everywhere.
@@ -202,9 +206,17 @@ fn engine(args: &Args) -> Result<EngineConfig> {
         "auto" => Backend::Auto,
         "onnxruntime" => Backend::OnnxRuntime,
         "rten" => Backend::Rten,
-        other => bail!("`--backend {other}`: write auto, onnxruntime or rten"),
+        "burn" => Backend::Burn,
+        other => bail!("`--backend {other}`: write auto, onnxruntime, rten or burn"),
     };
     Ok(EngineConfig { backend, onnxruntime: args.onnxruntime.clone(), ..EngineConfig::default() })
+}
+
+/// The initializer's: it runs ONNX files on the processor.
+fn finder_engine(args: &Args) -> Result<EngineConfig> {
+    let engine = engine(args)?;
+    let backend = if engine.backend == Backend::Burn { Backend::Auto } else { engine.backend };
+    Ok(EngineConfig { backend, ..engine })
 }
 
 /// A pipeline for each size, with the passes that it makes.
@@ -236,6 +248,7 @@ fn pipeline_config(
             size_px,
             iterations: args.iterations,
             max_batch: 16,
+            device: args.device,
             engine: engine(args)?,
             lockstep: None,
         },
@@ -274,7 +287,7 @@ fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<In
     let config = InitializerConfig {
         network: args.init_network.clone(),
         compare: args.init_compare.clone().map(CompareConfig::new),
-        engine: engine(args)?,
+        engine: finder_engine(args)?,
         ..InitializerConfig::new(weights.to_owned(), objects)
     };
     let mut finder = Finder::open(config, args.seed)?;

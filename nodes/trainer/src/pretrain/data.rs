@@ -4,7 +4,7 @@ use super::{PretrainConfig, SizeShare};
 use crate::TrainerError;
 use crate::synth::{Sample, SampleGenerator};
 use pseudoflow_imaging::RgbImage;
-use pseudoflow_network::FlowBatch;
+use pseudoflow_network::{FlowBatch, REFERENCE_CHANNELS, RefinerBatch, reference_geometry};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, VecDeque};
@@ -18,7 +18,7 @@ use std::time::Instant;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Batch {
     pub(crate) size_px: usize,
-    /// `n x 3` planes in [-1, 1].
+    /// `n x 5` planes: colours in [-1, 1] and [`reference_geometry`]; or, without geometry, the three colours.
     reference: Vec<f32>,
     /// `n x 3` planes in [-1, 1].
     real: Vec<f32>,
@@ -26,53 +26,47 @@ pub(crate) struct Batch {
     flow: Vec<f32>,
     /// `n` planes: weight of the flow loss.
     mask: Vec<f32>,
-    /// `n` planes: 1 where the surface point is seen in the real crop.
-    pub(crate) visible: Vec<f32>,
-    /// `n` planes: 1 where the reference shows the object.
-    pub(crate) foreground: Vec<f32>,
-    /// `n` planes: (depth - depth of the object's origin) / diameter; 0 in the background.
-    pub(crate) depth: Vec<f32>,
-    /// `n x 3` planes: unit normals, camera axes, turned to the camera; 0 in the background.
-    pub(crate) normals: Vec<f32>,
+    /// `n` planes: 1 where the surface point is seen in the real crop, 0 where it is hidden, -1 in the background.
+    visible: Vec<f32>,
     n: usize,
 }
 
 impl Batch {
-    pub(crate) fn new(size_px: usize, samples: &[&Sample], hidden_weight: f32) -> Self {
+    pub(crate) fn new(size_px: usize, samples: &[&Sample], hidden_weight: f32, geometry: bool) -> Self {
         let planes = |count: usize| Vec::with_capacity(samples.len() * count * size_px * size_px);
         let mut batch = Self {
             size_px,
-            reference: planes(3),
+            reference: planes(if geometry { REFERENCE_CHANNELS } else { 3 }),
             real: planes(3),
             flow: planes(2),
             mask: planes(1),
             visible: planes(1),
-            foreground: planes(1),
-            depth: planes(1),
-            normals: planes(3),
             n: samples.len(),
         };
-        samples.iter().for_each(|sample| batch.push(sample, hidden_weight));
+        samples.iter().for_each(|sample| batch.push(sample, hidden_weight, geometry));
         batch
     }
 
-    fn push(&mut self, sample: &Sample, hidden_weight: f32) {
+    fn push(&mut self, sample: &Sample, hidden_weight: f32, geometry: bool) {
         let label = &sample.label;
         push_planes(&mut self.reference, &sample.reference);
+        if geometry {
+            let (start, focal_px) = (self.reference.len(), (sample.intrinsics.fx + sample.intrinsics.fy) / 2.0);
+            self.reference.resize(start + 2 * label.depth_m.len(), 0.0);
+            reference_geometry(&label.depth_m, self.size_px, focal_px, &mut self.reference[start..]);
+        }
         push_planes(&mut self.real, &sample.real_like);
         (0..2).for_each(|axis| self.flow.extend(label.flow_px.iter().map(|f| f[axis])));
-        (0..3).for_each(|axis| self.normals.extend(label.normals.iter().map(|n| n[axis])));
-        let weight = |(visible, foreground): (&bool, &bool)| match (visible, foreground) {
-            (true, _) => 1.0,
-            (false, true) => hidden_weight,
-            (false, false) => 0.0,
+        let each = || label.visible.iter().zip(&label.foreground);
+        let weigh = |seen: f32, hidden: f32, background: f32| {
+            each().map(move |(visible, foreground)| match (visible, foreground) {
+                (true, _) => seen,
+                (false, true) => hidden,
+                (false, false) => background,
+            })
         };
-        self.mask.extend(label.visible.iter().zip(&label.foreground).map(weight));
-        self.visible.extend(label.visible.iter().map(|v| f32::from(u8::from(*v))));
-        self.foreground.extend(label.foreground.iter().map(|v| f32::from(u8::from(*v))));
-        let origin_m = sample.reference_camera_from_object.translation.z as f32;
-        let scale = 1.0 / sample.diameter_m as f32;
-        self.depth.extend(label.depth_m.iter().map(|z| if *z > 0.0 { (z - origin_m) * scale } else { 0.0 }));
+        self.mask.extend(weigh(1.0, hidden_weight, 0.0));
+        self.visible.extend(weigh(1.0, 0.0, -1.0));
     }
 
     pub(crate) fn pairs(&self) -> usize {
@@ -81,6 +75,11 @@ impl Batch {
 
     pub(crate) fn view(&self) -> FlowBatch<'_> {
         FlowBatch { reference: &self.reference, real: &self.real, flow: &self.flow, mask: &self.mask, n: self.n }
+    }
+
+    pub(crate) fn refiner_view(&self) -> RefinerBatch<'_> {
+        let Self { reference, real, flow, visible, n, .. } = self;
+        RefinerBatch { reference, real, flow, visible, n: *n }
     }
 }
 
@@ -92,6 +91,7 @@ pub(crate) fn push_planes(planes: &mut Vec<f32>, image: &RgbImage) {
 }
 
 /// Crop size and number of pairs of a step; a function of the configuration and the step.
+#[cfg(test)]
 pub(crate) fn plan(config: &PretrainConfig, network_size_px: usize, step: u64) -> (usize, usize) {
     Schedule::new(config, network_size_px).plan(step)
 }
@@ -191,6 +191,7 @@ pub(crate) struct Prefetch {
     shared: Arc<Shared>,
     schedule: Schedule,
     hidden_weight: f32,
+    geometry: bool,
     first: u64,
     threads: Vec<JoinHandle<()>>,
 }
@@ -220,7 +221,14 @@ struct State {
 const AHEAD: u64 = 1;
 
 impl Prefetch {
-    pub(crate) fn start(generator: &SampleGenerator, config: &PretrainConfig, size_px: usize, first: u64) -> Self {
+    /// `geometry`: whether references come with their depth.
+    pub(crate) fn start(
+        generator: &SampleGenerator,
+        config: &PretrainConfig,
+        size_px: usize,
+        geometry: bool,
+        first: u64,
+    ) -> Self {
         let schedule = Schedule::new(config, size_px);
         let block = first / schedule.steps_per_block();
         let state = State {
@@ -249,7 +257,7 @@ impl Prefetch {
             })
         };
         let threads = (0..config.data_threads).map(spawn).collect();
-        Self { shared, schedule, hidden_weight: config.hidden_weight as f32, first, threads }
+        Self { shared, schedule, hidden_weight: config.hidden_weight as f32, geometry, first, threads }
     }
 
     /// The batch of the `nth` step since the start. Steps must be asked for in order.
@@ -272,7 +280,7 @@ impl Prefetch {
                 _ => None,
             };
             if let Some(samples) = pairs.iter().map(made).collect::<Option<Vec<_>>>() {
-                return Ok(Batch::new(self.schedule.plan(step).0, &samples, self.hidden_weight));
+                return Ok(Batch::new(self.schedule.plan(step).0, &samples, self.hidden_weight, self.geometry));
             }
             if state.dead {
                 return Err(TrainerError::DataThread);

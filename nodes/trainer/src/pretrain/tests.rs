@@ -10,6 +10,7 @@ fn tiny(folder: &Path) -> PretrainConfig {
     let mut config =
         PretrainConfig::new(vec![write_objects(folder)], &network.to_string_lossy(), folder.join("w.safetensors"));
     (config.steps, config.batch, config.warm_start) = (4, 2, WarmStart::Random);
+    config.device = ComputeDevice::Cpu;
     config.sizes = vec![SizeShare { size_px: 64, weight: 1.0 }, SizeShare { size_px: 72, weight: 1.0 }];
     config
 }

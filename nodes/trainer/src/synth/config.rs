@@ -95,7 +95,9 @@ impl LookConfig {
             self.plain_reference,
         ];
         let counts = self.most_neighbours <= 40 && self.procedural_shapes <= 1_000_000;
-        counts && shares.iter().all(|v| (0.0..=1.0).contains(v)) && (self.procedural == 0.0 || self.procedural_shapes > 0)
+        counts
+            && shares.iter().all(|v| (0.0..=1.0).contains(v))
+            && (self.procedural == 0.0 || self.procedural_shapes > 0)
     }
 }
 
@@ -266,7 +268,11 @@ impl SynthConfig {
             ("visible_min", (0.0..=0.9).contains(&self.visible_min), "a share from 0 to 0.9"),
             ("crop_margin", range(self.crop_margin, 1.0, 3.0), "low, high from 1 to 3"),
             ("pairs_per_scene", (1..=32).contains(&self.pairs_per_scene), "1 to 32"),
-            ("look", self.look.in_range(), "shares from 0 to 1, at most 40 neighbours, procedural_shapes from 1 to 1000000"),
+            (
+                "look",
+                self.look.in_range(),
+                "shares from 0 to 1, at most 40 neighbours, procedural_shapes from 1 to 1000000",
+            ),
             ("camera", self.camera.in_range(), "shares from 0 to 1 and strengths from 0 to 3"),
             ("most_oversampled", (0.5..=100.0).contains(&self.most_oversampled), "0.5 to 100"),
             (

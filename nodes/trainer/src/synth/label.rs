@@ -63,7 +63,8 @@ impl SyntheticFlow {
             let from = Point2::new((index % size) as f64, (index / size) as f64);
             let point = k.unproject(&from, f64::from(reference.depth_m[index]));
             let m = &real_from_reference;
-            let [x, y, z] = [0, 1, 2].map(|i| m[(i, 0)] * point.x + m[(i, 1)] * point.y + m[(i, 2)] * point.z + m[(i, 3)]);
+            let [x, y, z] =
+                [0, 1, 2].map(|i| m[(i, 0)] * point.x + m[(i, 1)] * point.y + m[(i, 2)] * point.z + m[(i, 3)]);
             if z <= 0.0 {
                 continue;
             }

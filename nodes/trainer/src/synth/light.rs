@@ -151,7 +151,8 @@ impl Lighting {
 
     /// The depth of the scene as the first lights and the sky see it.
     pub(super) fn shadows(&self, items: &[Item<'_>], centre_m: Vector3<f32>, diameter_m: f32) -> Shadows {
-        let map = |direction: Vector3<f32>, softness: f32| ShadowMap::new(items, centre_m, diameter_m, direction, softness);
+        let map =
+            |direction: Vector3<f32>, softness: f32| ShadowMap::new(items, centre_m, diameter_m, direction, softness);
         let lamps = self.lamps.iter().zip(&self.softness_px).map(|(lamp, softness)| map(lamp.direction, *softness));
         let sky = (self.occlusion > 0.0).then(|| map(self.up, SKY_SOFTNESS_PX));
         Shadows { lamps: lamps.collect(), sky }
@@ -323,7 +324,8 @@ mod tests {
                 normal_in_camera: [0.0, 0.0, -1.0],
                 to_camera: [0.0, 0.0, -1.0],
             };
-            let out = lighting.shade(&surface, &Material::of_target(&mut rng, &look), &Shadows { lamps: vec![], sky: None });
+            let out =
+                lighting.shade(&surface, &Material::of_target(&mut rng, &look), &Shadows { lamps: vec![], sky: None });
             assert!(out.iter().all(|c| c.is_finite() && *c > 0.0), "{out:?}");
         }
     }

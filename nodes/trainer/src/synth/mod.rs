@@ -109,6 +109,13 @@ impl SampleGenerator {
         Ok(Self { photos: Arc::new(photos), ..self })
     }
 
+    /// Scenes of the same kind with other objects and another seed.
+    #[must_use]
+    pub fn of_other_objects(&self, objects: Arc<ObjectPool>, seed: u64) -> Self {
+        let shapes = Arc::new(ShapeBank::new(seed, self.config.look.procedural_shapes));
+        Self { objects, shapes, seed, ..self.clone() }
+    }
+
     /// The object of a sample.
     ///
     /// # Errors
@@ -119,6 +126,12 @@ impl SampleGenerator {
 
     fn stock(&self) -> Stock<'_> {
         Stock { objects: &self.objects, shapes: &self.shapes, photos: &self.photos, look: &self.config.look }
+    }
+
+    /// The objects.
+    #[must_use]
+    pub fn objects(&self) -> &ObjectPool {
+        &self.objects
     }
 
     /// How many samples a scene serves.
@@ -223,7 +236,10 @@ impl View<'_> {
             let k = placement.crop.intrinsics(&placement.intrinsics);
             let headlight = Headlight::default();
             let shade = |i: usize| {
-                let ray = [(i as f32 % size_px as f32 - k.cx as f32) / k.fx as f32, (i as f32 / size_px as f32 - k.cy as f32) / k.fy as f32];
+                let ray = [
+                    (i as f32 % size_px as f32 - k.cx as f32) / k.fx as f32,
+                    (i as f32 / size_px as f32 - k.cy as f32) / k.fy as f32,
+                ];
                 let n = label.normals[i];
                 let facing = -(n[0] * ray[0] + n[1] * ray[1] + n[2]) / (1.0 + ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
                 headlight.ambient + headlight.headlight * facing.clamp(0.0, 1.0)

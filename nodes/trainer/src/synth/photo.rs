@@ -145,7 +145,12 @@ impl PhotoBank {
                 return Err(TrainerError::NoPictures { folder: folder.clone(), found: chosen.len() });
             }
             if usable.len() < chosen.len() {
-                log::warn!("{}: {} of {} pictures are not usable", folder.display(), chosen.len() - usable.len(), chosen.len());
+                log::warn!(
+                    "{}: {} of {} pictures are not usable",
+                    folder.display(),
+                    chosen.len() - usable.len(),
+                    chosen.len()
+                );
             }
             log::info!("{}: {} pictures for backgrounds", folder.display(), usable.len());
             bank.photos.extend(usable);

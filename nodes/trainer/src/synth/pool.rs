@@ -28,7 +28,11 @@ impl ObjectPool {
         let triangles: usize = pool.objects.iter().map(|o| o.mesh.triangles.len()).sum();
         log::info!("{} objects of {} folders, {triangles} triangles", pool.len(), folders.len());
         for object in pool.objects.iter().filter(|o| o.mesh.texture.is_none() && o.mesh.colours.is_empty()) {
-            log::warn!("object {} ({}) has neither texture nor vertex colours: it is drawn light grey", object.id, object.name);
+            log::warn!(
+                "object {} ({}) has neither texture nor vertex colours: it is drawn light grey",
+                object.id,
+                object.name
+            );
         }
         Ok(pool)
     }
@@ -46,6 +50,22 @@ impl ObjectPool {
         };
         let names = sets.iter().flat_map(|set| set.iter().map(move |object| name(set, object))).collect();
         Self { objects, names }
+    }
+
+    /// Takes every n-th object out, for measuring on what a training never saw: (the rest, those taken out). Pools of fewer than
+    /// n objects stay whole, and nothing is taken.
+    #[must_use]
+    pub fn hold_out(self, every: usize) -> (Self, Option<Self>) {
+        if self.objects.len() < every {
+            return (self, None);
+        }
+        let (mut kept, mut held) = (Self { objects: vec![], names: vec![] }, Self { objects: vec![], names: vec![] });
+        for (place, (object, name)) in self.objects.into_iter().zip(self.names).enumerate() {
+            let pool = if (place + 1).is_multiple_of(every) { &mut held } else { &mut kept };
+            pool.objects.push(object);
+            pool.names.push(name);
+        }
+        (kept, Some(held))
     }
 
     /// How many there are (at least one, when loaded).

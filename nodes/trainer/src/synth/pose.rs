@@ -103,7 +103,8 @@ impl Placement {
     /// The angle between truth and reference, degrees.
     #[cfg(test)]
     pub(super) fn angle_deg(&self) -> f64 {
-        pseudoflow_geometry::rotation_angle_rad(&self.truth_camera_from_object, &self.reference_camera_from_object).to_degrees()
+        pseudoflow_geometry::rotation_angle_rad(&self.truth_camera_from_object, &self.reference_camera_from_object)
+            .to_degrees()
     }
 }
 

@@ -1,13 +1,13 @@
 //! Synthetic images of whole scenes, for the initializer (method.md, pipeline step 1).
 
-use super::random::{Draw, stream};
 use super::config::{CameraConfig, LookConfig};
+use super::photo::PhotoBank;
 use super::picture::Picture;
 use super::pool::ObjectPool;
-use super::photo::PhotoBank;
-use super::shapes::ShapeBank;
+use super::random::{Draw, stream};
 use super::scene::{Stock, SyntheticScene};
 use super::sensor::{Sensor, mean_light};
+use super::shapes::ShapeBank;
 use super::window::{SAMPLES, Window};
 use crate::TrainerError;
 use pseudoflow_geometry::{Intrinsics, Pose};

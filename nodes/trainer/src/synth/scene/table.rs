@@ -135,7 +135,13 @@ impl Table<'_> {
     }
 
     /// Something that is not of the set.
-    fn other(&self, rng: &mut impl Rng, stock: &Stock<'_>, diameter_m: f64, taken: &mut Taken) -> Result<Option<Thing>, ImagingError> {
+    fn other(
+        &self,
+        rng: &mut impl Rng,
+        stock: &Stock<'_>,
+        diameter_m: f64,
+        taken: &mut Taken,
+    ) -> Result<Option<Thing>, ImagingError> {
         let size_m = diameter_m * rng.log_uniform(0.3, 1.6);
         for _ in 0..TRIES {
             let Some(at) = self.place(rng) else { continue };

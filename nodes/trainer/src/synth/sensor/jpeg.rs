@@ -5,14 +5,14 @@ use super::filter::LinearImage;
 
 /// Luminance and chrominance quantisation at quality 50 (T.81, Annex K.1), row-major.
 const LUMA: [u8; 64] = [
-    16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51, 87,
-    80, 62, 18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101, 72, 92,
-    95, 98, 112, 100, 103, 99,
+    16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51,
+    87, 80, 62, 18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101,
+    72, 92, 95, 98, 112, 100, 103, 99,
 ];
 const CHROMA: [u8; 64] = [
-    17, 18, 24, 47, 99, 99, 99, 99, 18, 21, 26, 66, 99, 99, 99, 99, 24, 26, 56, 99, 99, 99, 99, 99, 47, 66, 99, 99, 99, 99,
-    99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
-    99, 99, 99, 99,
+    17, 18, 24, 47, 99, 99, 99, 99, 18, 21, 26, 66, 99, 99, 99, 99, 24, 26, 56, 99, 99, 99, 99, 99, 47, 66, 99, 99, 99,
+    99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
+    99, 99, 99, 99, 99, 99,
 ];
 
 /// Settings of a JPEG encoder.
@@ -35,8 +35,7 @@ impl Jpeg {
     /// Encodes and decodes display values (0 to 1). Blocks start at the image's corner.
     pub(super) fn pass(&self, image: &mut LinearImage) {
         let (width, height) = (image.width.next_multiple_of(16), image.height.next_multiple_of(16));
-        let mut planes: [Plane; 3] =
-            std::array::from_fn(|_| Plane { width, height, data: vec![0.0; width * height] });
+        let mut planes: [Plane; 3] = std::array::from_fn(|_| Plane { width, height, data: vec![0.0; width * height] });
         for y in 0..height {
             let row = &image.data[3 * y.min(image.height - 1) * image.width..][..3 * image.width];
             let line = y * width..(y + 1) * width;

@@ -75,7 +75,9 @@ impl Sensor {
             shoulder: if rng.chance(0.5) { rng.random() } else { 0.0 },
             sharpen: if rng.chance(config.sharpening) { rng.uniform32(0.2, 1.4) } else { 0.0 },
             sharpen_px: rng.uniform32(0.6, 1.3),
-            jpeg: rng.chance(config.jpeg).then(|| Jpeg { quality: rng.uniform(55.0, 98.0) as u8, subsampled: rng.chance(0.7) }),
+            jpeg: rng
+                .chance(config.jpeg)
+                .then(|| Jpeg { quality: rng.uniform(55.0, 98.0) as u8, subsampled: rng.chance(0.7) }),
         }
     }
 

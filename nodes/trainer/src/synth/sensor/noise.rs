@@ -11,8 +11,7 @@ const SIDE: usize = 256;
 /// White and smooth normal noise of sigma 1, drawn once.
 static STORED: LazyLock<[Vec<f32>; 2]> = LazyLock::new(|| {
     let mut rng = ChaCha8Rng::seed_from_u64(0x0015_e1f1);
-    let white: Vec<f32> =
-        (0..SIDE * SIDE).map(|_| pseudoflow_geometry::standard_normal(&mut rng) as f32).collect();
+    let white: Vec<f32> = (0..SIDE * SIDE).map(|_| pseudoflow_geometry::standard_normal(&mut rng) as f32).collect();
     let at = |x: usize, y: usize| white[y % SIDE * SIDE + x % SIDE];
     let kernel = [0.25_f32, 0.5, 0.25];
     let around = |i: usize| {

@@ -155,7 +155,11 @@ fn superquadric(rng: &mut impl Rng) -> Solid {
         let (radius, z) = (signed_power(v.cos(), vertical), signed_power(v.sin(), vertical));
         let point = |i: usize| {
             let u = TAU * i as f32 / 28.0;
-            [axes[0] * radius * signed_power(u.cos(), flat), axes[1] * radius * signed_power(u.sin(), flat), axes[2] * z]
+            [
+                axes[0] * radius * signed_power(u.cos(), flat),
+                axes[1] * radius * signed_power(u.sin(), flat),
+                axes[2] * z,
+            ]
         };
         (0..28).map(point).collect()
     };
