@@ -35,6 +35,8 @@ enum Command {
     Adapt(commands::adapt::Args),
     /// Trains once for every row of a table and every seed, and scores what came out.
     Ablate(commands::ablate::Args),
+    /// Learns from synthetic images when refined poses can be believed.
+    Calibrate(commands::calibrate::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
@@ -86,6 +88,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Node(args) => commands::run::node(&args),
         Command::Pretrain(args) => commands::pretrain::run(&args),
         Command::Adapt(args) => commands::adapt::run(&args),
+        Command::Calibrate(args) => commands::calibrate::run(&args),
         Command::Export(args) => commands::export::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
         Command::Compare(args) => commands::eval::compare(&args),
