@@ -29,7 +29,7 @@ pub struct EstimateDetails {
 }
 
 /// One decision of the gate, `camera_from_object`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct GateStep {
     /// The pose that the refinement began from.
     pub before: Pose,
@@ -37,6 +37,8 @@ pub struct GateStep {
     pub after: Pose,
     /// Whether it was taken.
     pub accepted: bool,
+    /// What the decision was made from, and the claimed probability that it is better (`better`).
+    pub evidence: BTreeMap<String, f64>,
 }
 
 impl NamedEstimates {

@@ -183,7 +183,7 @@ pub struct InstanceErrors {
 }
 
 /// A decision of the gate and what hung on it: ADD(-S) in diameters.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct GateErrors {
     /// Of the pose that the refinement began from.
     pub before_of_diameter: f64,
@@ -191,6 +191,9 @@ pub struct GateErrors {
     pub after_of_diameter: f64,
     /// Whether it was taken.
     pub accepted: bool,
+    /// What the decision was made from, and the claimed probability that it is better (`better`).
+    #[serde(default)]
+    pub evidence: BTreeMap<String, f64>,
 }
 
 impl InstanceErrors {

@@ -204,7 +204,12 @@ fn add_s_m(model: &EvalModel, est: &MatrixPose, gt: &MatrixPose) -> f64 {
 
 fn gate_errors(model: &EvalModel, step: &GateStep, gt: &MatrixPose) -> GateErrors {
     let of = |pose: Pose| add_s_m(model, &pose.into(), gt) / model.diameter_m;
-    GateErrors { before_of_diameter: of(step.before), after_of_diameter: of(step.after), accepted: step.accepted }
+    GateErrors {
+        before_of_diameter: of(step.before),
+        after_of_diameter: of(step.after),
+        accepted: step.accepted,
+        evidence: step.evidence.clone(),
+    }
 }
 
 /// What is wrong with an estimate along the viewing ray.

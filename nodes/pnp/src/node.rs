@@ -1,4 +1,4 @@
-use crate::gate::{Evidence, Features, Gate, GateConfig, GateView, Scale, Stage, StageModel};
+use crate::gate::{Evidence, Features, Gate, GateConfig, GateView, Scale, Stage, StageModel, Verdict};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_msgs::{FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
@@ -63,6 +63,8 @@ pub struct Refinement {
     pub accepted: bool,
     /// What the decision was made from.
     pub features: Features,
+    /// What the model made of it.
+    pub verdict: Verdict,
     /// The solver's covariance, not yet scaled by what was learnt.
     pub solver_covariance: [f64; 36],
 }
@@ -134,6 +136,7 @@ impl PnpNode {
             after: found.camera_from_object,
             accepted: !refused,
             features,
+            verdict,
             solver_covariance: found.covariance,
         };
         Ok(Look { pose, seen, refinement: Some(refinement) })

@@ -14,8 +14,10 @@ use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_initializer::{CompareConfig, InitializerConfig};
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
-use pseudoflow_pnp::{Look, PnpNodeConfig};
+use pseudoflow_pnp::gate::GateConfig;
+use pseudoflow_pnp::{Look, PnpNodeConfig, Refinement};
 use pseudoflow_renderer::RendererConfig;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -71,6 +73,12 @@ pub(crate) struct Args {
     /// ONNX Runtime's library; else `ORT_DYLIB_PATH`, as everywhere.
     #[arg(long)]
     onnxruntime: Option<PathBuf>,
+    /// The gate's model, a file that `pseudoflow calibrate` wrote; without it that of the binary.
+    #[arg(long, conflicts_with = "no_gate")]
+    gate: Option<PathBuf>,
+    /// Smallest probability of being better for a refined pose to be accepted, 0..1.
+    #[arg(long, conflicts_with = "no_gate")]
+    min_better: Option<f64>,
     /// Accept every refined pose, also those that the gate would refuse.
     #[arg(long)]
     no_gate: bool,
@@ -80,7 +88,7 @@ pub(crate) struct Args {
     /// Seed of the run.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Objects to report without, too: `7` or `7,3`.
+    /// Objects to report without, too, `7` or `7,3`: those whose mesh is too coarse to judge by, say.
     #[arg(long, value_delimiter = ',', value_name = "ID")]
     exclude_objects: Vec<u32>,
     /// Only every n-th image of the split, for a quick look.
@@ -251,10 +259,10 @@ fn pipeline_config(
     dataset: &EvalDataset,
     (size_px, passes): (u32, u32),
 ) -> Result<PipelineConfig> {
-    let mut pnp = PnpNodeConfig::default();
-    if args.no_gate {
-        pnp.gate = None;
-    }
+    let default = GateConfig::default();
+    let min_better = args.min_better.unwrap_or(default.min_better);
+    let gate = GateConfig { model: args.gate.clone(), min_better, ..default };
+    let pnp = PnpNodeConfig { gate: (!args.no_gate).then_some(gate), ..PnpNodeConfig::default() };
     Ok(PipelineConfig {
         renderer: RendererConfig::new(args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone()), size_px),
         flow: FlowConfig {
@@ -375,8 +383,15 @@ fn details(pose: &ObjectPose, passes: &[Vec<Look>]) -> EstimateDetails {
     EstimateDetails {
         confidence: Some(pose.score),
         covariance: (pose.source == PoseSource::Refined as u32).then_some(pose.covariance),
-        gate: steps.map(|r| GateStep { before: r.before, after: r.after, accepted: r.accepted }).collect(),
+        gate: steps.map(gate_step).collect(),
     }
+}
+
+fn gate_step(refinement: &Refinement) -> GateStep {
+    let known = serde_json::to_value(refinement.features.known()).and_then(serde_json::from_value);
+    let mut evidence: BTreeMap<String, f64> = known.unwrap_or_default();
+    evidence.insert("better".into(), refinement.verdict.better);
+    GateStep { before: refinement.before, after: refinement.after, accepted: refinement.accepted, evidence }
 }
 
 fn given(estimate: &Estimate, instance: u32) -> ObjectPose {

@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     fn step(before: f64, after: f64, accepted: bool) -> GateErrors {
-        GateErrors { before_of_diameter: before, after_of_diameter: after, accepted }
+        GateErrors { before_of_diameter: before, after_of_diameter: after, accepted, ..Default::default() }
     }
 
     #[test]

@@ -2,6 +2,7 @@ use super::Evidence;
 use pseudoflow_solver::PnpResult;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// What the gate's models may look at. The names are those of the model file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
@@ -113,6 +114,12 @@ impl Features {
     #[must_use]
     pub fn get(&self, feature: Feature) -> f64 {
         self.0[feature as usize]
+    }
+
+    /// Those that are known.
+    #[must_use]
+    pub fn known(&self) -> BTreeMap<Feature, f64> {
+        Feature::ALL.into_iter().map(|f| (f, self.get(f))).filter(|(_, v)| v.is_finite()).collect()
     }
 
     /// Sets one.

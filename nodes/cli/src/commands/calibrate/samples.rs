@@ -134,7 +134,6 @@ impl Maker {
         let Refinement { before, after, .. } = refinement;
         let error =
             pose_error(&(*after).into(), &nearest_symmetric(&(*after).into(), &(*truth).into(), &model.symmetries));
-        let known = Feature::ALL.into_iter().map(|f| (f, refinement.features.get(f))).filter(|(_, v)| v.is_finite());
         Ok(Some(Sample {
             object: format!("{}/{}", self.folder, look.pose.object_id),
             visible: *visible,
@@ -142,7 +141,7 @@ impl Maker {
             after: add_s_of_diameter(model, after, truth),
             error: error.into(),
             covariance: refinement.solver_covariance.to_vec(),
-            features: known.collect(),
+            features: refinement.features.known(),
         }))
     }
 
