@@ -34,8 +34,10 @@ pub enum Feature {
     Rotation,
     /// What of it is over 0.35 rad (20 degrees).
     RotationOver20Deg,
-    /// Change of the depth over the initial depth, its size, at most 0.5.
+    /// Size of the change of depth, diameters, at most 1: rough poses are seldom off by more than a quarter.
     DepthChange,
+    /// What of it is over a quarter.
+    DepthChangeOverQuarter,
     /// Share of the surface inside the crop at the refined pose, 0..1.
     ShareInView,
     /// Natural logarithm of the solver's standard deviation of the translation (root of the mean variance) over the diameter.
@@ -54,7 +56,7 @@ pub enum Feature {
 
 impl Feature {
     /// All, in the order of their numbers.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 22] = [
         Self::InlierRatio,
         Self::InlierRms,
         Self::PhotometricInitial,
@@ -69,6 +71,7 @@ impl Feature {
         Self::Rotation,
         Self::RotationOver20Deg,
         Self::DepthChange,
+        Self::DepthChangeOverQuarter,
         Self::ShareInView,
         Self::LnTranslationSigma,
         Self::LnRotationSigma,
@@ -138,6 +141,7 @@ impl Features {
         let displacement = (evidence.displacement_px / scale.size_px as f64).min(0.5);
         let rotation = evidence.rotation_rad.min(1.5);
         let depth_m = found.camera_from_object.translation.z;
+        let depth = ((depth_m - scale.initial_depth_m).abs() / scale.diameter_m).min(1.0);
         let sigma = |start: usize| ((start..start + 3).map(|i| found.covariance[7 * i]).sum::<f64>() / 3.0).sqrt();
         Self::default()
             .with(Feature::InlierRatio, found.inlier_ratio)
@@ -153,7 +157,8 @@ impl Features {
             .with(Feature::DisplacementOverTenth, (displacement - 0.1).max(0.0))
             .with(Feature::Rotation, rotation)
             .with(Feature::RotationOver20Deg, (rotation - 20_f64.to_radians()).max(0.0))
-            .with(Feature::DepthChange, (depth_m / scale.initial_depth_m - 1.0).abs().min(0.5))
+            .with(Feature::DepthChange, depth)
+            .with(Feature::DepthChangeOverQuarter, (depth - 0.25).max(0.0))
             .with(Feature::ShareInView, evidence.share_in_view)
             .with(Feature::LnTranslationSigma, ln_of(sigma(0) / scale.diameter_m))
             .with(Feature::LnRotationSigma, ln_of(sigma(3)))

@@ -137,13 +137,13 @@ fn features_are_finite_and_in_their_units() {
     let covariance = std::array::from_fn(|i| if i % 7 == 0 { if i < 21 { 1.44e-6 } else { 1e-4 } } else { 0.0 });
     let solved = PnpResult { covariance, ..result(0.9) };
     let features = Features::of(&solved, &found, &SCALE);
-    for feature in &Feature::ALL[..18] {
+    for feature in &Feature::ALL[..19] {
         assert!(features.get(*feature).is_finite(), "{feature:?}");
     }
     assert!((features.get(Feature::LnTranslationSigma) - 0.01_f64.ln()).abs() < 1e-9);
     assert!((features.get(Feature::LnRotationSigma) - 0.01_f64.ln()).abs() < 1e-9);
     assert!((features.get(Feature::LnMagnification) - 2_f64.ln()).abs() < 1e-9);
-    assert!((features.get(Feature::DepthChange) - 0.01 / 0.7).abs() < 1e-9);
+    assert!((features.get(Feature::DepthChange) - 0.01 / 0.12).abs() < 1e-9);
     assert!(features.get(Feature::ContourAgreement).is_nan(), "the contour stage's own");
 }
 
