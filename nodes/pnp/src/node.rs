@@ -304,6 +304,8 @@ fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize
         depth_m: &views.depth_m[at * area..(at + 1) * area],
         mask: &views.mask[at * area..(at + 1) * area],
         flow_px: &flow.flow_px[at * 2 * area..(at + 1) * 2 * area],
+        certainty: (flow.header.has_certainty == 1)
+            .then(|| [0, 1].map(|plane| &flow.certainty[(2 * at + plane) * area..(2 * at + plane + 1) * area])),
         intrinsics: Intrinsics { fx, fy, cx, cy },
         camera_from_object: pose_from_quaternion(&view.pose.rotation_xyzw, &view.pose.translation_m)?,
     };
