@@ -70,7 +70,7 @@ fn synthetic(models: &str, count: u64, size: u64, seed: u64, config: Option<&Str
         None => SynthConfig::default(),
     };
     let backgrounds: Vec<PathBuf> = std::env::var_os("BACKGROUNDS").map(PathBuf::from).into_iter().collect();
-    let generator = SampleGenerator::new(pool, config, seed)?.with_backgrounds(&backgrounds)?;
+    let generator = SampleGenerator::new(pool, config, seed)?.with_backgrounds(&backgrounds, false)?;
     let mut rows = Vec::new();
     for sample in generator.batch(0, count as usize, size as u32)? {
         let object = generator.object(sample.object)?;
