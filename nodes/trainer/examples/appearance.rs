@@ -70,7 +70,7 @@ fn synthetic(models: &str, count: u64, size: u64, seed: u64, config: Option<&Str
         None => SynthConfig::default(),
     };
     let backgrounds: Vec<PathBuf> = std::env::var_os("BACKGROUNDS").map(PathBuf::from).into_iter().collect();
-    let generator = SampleGenerator::new(pool, config, seed)?.with_backgrounds(&backgrounds)?;
+    let generator = SampleGenerator::new(pool, config, seed)?.with_backgrounds(&backgrounds, false)?;
     let mut rows = Vec::new();
     for sample in generator.batch(0, count as usize, size as u32)? {
         let object = generator.object(sample.object)?;
@@ -82,8 +82,10 @@ fn synthetic(models: &str, count: u64, size: u64, seed: u64, config: Option<&Str
 
 #[derive(serde::Deserialize)]
 struct Truth {
-    cam_R_m2c: [f64; 9],
-    cam_t_m2c: [f64; 3],
+    #[serde(rename = "cam_R_m2c")]
+    rotation: [f64; 9],
+    #[serde(rename = "cam_t_m2c")]
+    translation_mm: [f64; 3],
     obj_id: u32,
 }
 
@@ -95,8 +97,8 @@ fn photographs(models: &Path, scene: &Path, poses: &Path, size: u32, every: u64)
         let image = load_rgb(&frame.image_path)?;
         for truth in poses.get(&frame.image_id).into_iter().flatten() {
             let Ok(object) = objects.get(truth.obj_id) else { continue };
-            let rotation = Rotation3::from_matrix(&Matrix3::from_row_slice(&truth.cam_R_m2c));
-            let [x, y, z] = truth.cam_t_m2c.map(|v| v * 1e-3);
+            let rotation = Rotation3::from_matrix(&Matrix3::from_row_slice(&truth.rotation));
+            let [x, y, z] = truth.translation_mm.map(|v| v * 1e-3);
             let pose = Pose::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_rotation_matrix(&rotation));
             let Some(crop) = Crop::around(&object.hull_m, &pose, &frame.intrinsics, 1.15, size) else { continue };
             let item = Item { mesh: &object.mesh, camera_from_object: pose };

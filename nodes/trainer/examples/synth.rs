@@ -19,7 +19,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folders: Vec<PathBuf> = models.split(',').map(PathBuf::from).collect();
     let objects = Arc::new(ObjectPool::load(&folders)?);
     let backgrounds: Vec<PathBuf> = std::env::var_os("BACKGROUNDS").map(PathBuf::from).into_iter().collect();
-    let generator = SampleGenerator::new(objects, SynthConfig::default(), seed)?.with_backgrounds(&backgrounds)?;
+    let generator =
+        SampleGenerator::new(objects, SynthConfig::default(), seed)?.with_backgrounds(&backgrounds, false)?;
     let start = Instant::now();
     let samples = generator.batch(first, count as usize, size as u32)?;
     let rate = count as f64 / start.elapsed().as_secs_f64();

@@ -34,6 +34,9 @@ pub(crate) struct Args {
     /// folders in them), or recordings (bags), whose frames are copied to a folder beside `--out`.
     #[arg(long, value_delimiter = ',', value_name = "DIR|BAG[,...]")]
     backgrounds: Vec<PathBuf>,
+    /// Flow: leaves out meshes and pictures that their folder's `meta.json` does not release for shipping.
+    #[arg(long)]
+    only_shippable: bool,
     /// Flow: what the synthetic pairs look like, a YAML or JSON file with any of the keys of `SynthConfig`. `--preview`
     /// shows what comes out.
     #[arg(long, value_name = "FILE")]
@@ -104,6 +107,7 @@ impl Args {
         config.schedule = self.cool_down.map(|cool_down| Course::Plateau { warm_up: 500, cool_down });
         (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
         config.warm_start = self.warm_start();
+        config.only_shippable = self.only_shippable;
         config.backgrounds = picture_folders(&self.backgrounds, &self.out)?;
         if let Some(path) = &self.synth {
             let text = std::fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))?;
@@ -167,7 +171,7 @@ fn preview(config: &PretrainConfig, sheet: &Path) -> Result<ExitCode> {
     let size_px = config.network_size_px()? as u32;
     let objects = Arc::new(ObjectPool::load(&config.objects)?);
     let generator = SampleGenerator::new(objects, config.synth.clone(), config.seed)?;
-    let generator = generator.with_backgrounds(&config.backgrounds)?;
+    let generator = generator.with_backgrounds(&config.backgrounds, config.only_shippable)?;
     // One pair of each of a dozen scenes.
     let each = generator.pairs_per_scene();
     let samples: Vec<_> = generator.batch(0, 12 * each, size_px)?.into_iter().step_by(each).collect();

@@ -5,6 +5,7 @@
 //! camera's resolution (a far object is a *magnified* crop), in linear light, with other things before and behind
 //! the object, shadows, lens, noise and JPEG; only then it is resampled by the very function that crops real frames.
 
+mod card;
 mod config;
 mod label;
 mod light;
@@ -26,6 +27,7 @@ mod window;
 #[cfg(test)]
 pub(crate) mod tests;
 
+pub use card::{Card, Origin, Ship};
 pub use config::{CameraConfig, JitterConfig, LookConfig, MAX_JITTER_DEG, Spread, SynthConfig};
 pub use label::SyntheticFlow;
 pub use pool::ObjectPool;
@@ -100,13 +102,21 @@ impl SampleGenerator {
         Ok(Self { objects, shapes, photos: Arc::default(), config: Arc::new(config), seed })
     }
 
-    /// Takes photographs from folders (and the folders in them) for walls, tables and cards.
+    /// Takes photographs from folders (and the folders in them) for walls, tables and cards; `only_shippable`: without those
+    /// of which `meta.json` says that they may not be shipped, or nothing clear.
     ///
     /// # Errors
     /// When a folder cannot be read or holds no usable picture.
-    pub fn with_backgrounds(self, folders: &[PathBuf]) -> Result<Self, TrainerError> {
-        let photos = if folders.is_empty() { PhotoBank::default() } else { PhotoBank::load(folders)? };
+    pub fn with_backgrounds(self, folders: &[PathBuf], only_shippable: bool) -> Result<Self, TrainerError> {
+        let photos = if folders.is_empty() { PhotoBank::default() } else { PhotoBank::load(folders, only_shippable)? };
         Ok(Self { photos: Arc::new(photos), ..self })
+    }
+
+    /// What the scenes are made from.
+    #[must_use]
+    pub fn card(&self) -> Card {
+        let shapes = if self.config.look.procedural > 0.0 { self.shapes.len() } else { 0 };
+        Card::new(self.objects.origins().to_vec(), self.photos.origins().to_vec(), shapes)
     }
 
     /// Scenes of the same kind with other objects and another seed.

@@ -1,5 +1,6 @@
 //! Photographs: what lies behind and on tables and things.
 
+use super::card::{Origin, Statements};
 use super::random::Draw;
 use crate::TrainerError;
 use pseudoflow_imaging::{RgbImage, load_rgb};
@@ -117,6 +118,7 @@ fn mirrored(i: i32, size: usize) -> usize {
 #[derive(Debug, Default)]
 pub(super) struct PhotoBank {
     photos: Vec<Arc<Photo>>,
+    origins: Vec<Origin>,
 }
 
 impl PhotoBank {
@@ -125,10 +127,16 @@ impl PhotoBank {
     ///
     /// # Errors
     /// When a folder cannot be read or holds no usable picture.
-    pub(super) fn load(folders: &[PathBuf]) -> Result<Self, TrainerError> {
+    pub(super) fn load(folders: &[PathBuf], only_shippable: bool) -> Result<Self, TrainerError> {
         let mut paths = Vec::new();
         for folder in folders {
-            let found = pictures_in(folder)?;
+            let (found, stated) = (pictures_in(folder)?, Statements::of_folder(folder)?);
+            let origin = |path: PathBuf| {
+                let name = path.strip_prefix(folder).unwrap_or(&path).display().to_string();
+                (path, stated.origin(&name, &name))
+            };
+            let found: Vec<(PathBuf, Origin)> =
+                found.into_iter().map(origin).filter(|(_, origin)| !only_shippable || origin.is_free()).collect();
             if found.is_empty() {
                 return Err(TrainerError::NoPictures { folder: folder.clone(), found: 0 });
             }
@@ -138,9 +146,13 @@ impl PhotoBank {
         let step = total.div_ceil(MOST).max(1);
         let mut bank = Self::default();
         for (folder, found) in paths {
-            let chosen: Vec<&PathBuf> = found.iter().step_by(step).collect();
-            let read: Vec<_> = chosen.par_iter().map(|path| load_rgb(path).ok().filter(is_usable)).collect();
-            let usable: Vec<_> = read.into_iter().flatten().map(|image| Arc::new(Photo::new(&image))).collect();
+            let chosen: Vec<(PathBuf, Origin)> = found.into_iter().step_by(step).collect();
+            let read = |(path, origin): &(PathBuf, Origin)| {
+                let image = load_rgb(path).ok().filter(is_usable)?;
+                Some((Arc::new(Photo::new(&image)), origin.clone()))
+            };
+            let read: Vec<_> = chosen.par_iter().map(read).collect();
+            let usable: Vec<_> = read.into_iter().flatten().collect();
             if usable.is_empty() {
                 return Err(TrainerError::NoPictures { folder: folder.clone(), found: chosen.len() });
             }
@@ -153,9 +165,17 @@ impl PhotoBank {
                 );
             }
             log::info!("{}: {} pictures for backgrounds", folder.display(), usable.len());
-            bank.photos.extend(usable);
+            for (photo, origin) in usable {
+                bank.photos.push(photo);
+                bank.origins.push(origin);
+            }
         }
         Ok(bank)
+    }
+
+    /// Where they come from.
+    pub(super) fn origins(&self) -> &[Origin] {
+        &self.origins
     }
 
     /// Any of them; `None` when there are none.
@@ -222,7 +242,7 @@ mod tests {
     #[test]
     fn folders_without_usable_pictures_are_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let load = || PhotoBank::load(&[folder.path().to_owned()]);
+        let load = || PhotoBank::load(&[folder.path().to_owned()], false);
         assert!(load().unwrap_err().to_string().contains("no picture"));
         std::fs::write(folder.path().join("a.jpg"), b"not a picture").unwrap();
         RgbImage::from_pixel(100, 100, Rgb([9; 3])).save(folder.path().join("plain.png")).unwrap();
@@ -230,6 +250,6 @@ mod tests {
         std::fs::create_dir_all(folder.path().join("rgb")).unwrap();
         ramp(100, 80).save(folder.path().join("rgb/000000.png")).unwrap();
         assert_eq!(load().unwrap().photos.len(), 1);
-        assert!(PhotoBank::load(&[folder.path().join("none")]).unwrap_err().to_string().contains("none"));
+        assert!(PhotoBank::load(&[folder.path().join("none")], false).unwrap_err().to_string().contains("none"));
     }
 }
