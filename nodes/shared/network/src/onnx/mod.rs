@@ -139,10 +139,13 @@ impl<'a> Export<'a> {
         if !instance {
             return y;
         }
-        let channels = weights.shape[0];
+        self.instance_norm(&y, weights.shape[0])
+    }
+
+    fn instance_norm(&mut self, y: &str, channels: usize) -> String {
         let scale = self.graph.floats(&[channels], &vec![1.0; channels]);
         let shift = self.graph.floats(&[channels], &vec![0.0; channels]);
-        self.graph.op("InstanceNormalization", &[&y, &scale, &shift], &[("epsilon", Attr::Float(1e-5))])
+        self.graph.op("InstanceNormalization", &[y, &scale, &shift], &[("epsilon", Attr::Float(1e-5))])
     }
 
     fn fold_batch_norm(&self, conv: &mut ConvWeights, norm: &str) {

@@ -1,7 +1,7 @@
 //! The refiner as standard ONNX.
 
 use super::builder::{Attr, Builder};
-use super::{Export, ExportOptions, proto};
+use super::{ConvWeights, Export, ExportOptions, proto};
 use crate::config::Architecture;
 use crate::error::Result;
 use crate::model::Model;
@@ -56,8 +56,10 @@ struct Features {
 
 impl Export<'_> {
     fn refiner(&mut self, reference: &str, real: &str, iterations: usize) -> [String; 2] {
+        let colours = self.conv_weights("stem");
+        let of_reference = side_by_side(&colours, &self.conv_weights("stem.geometry"));
         let [reference, real] =
-            [("reference", reference), ("real", real)].map(|(name, x)| self.refiner_features(name, x));
+            [(of_reference, reference), (colours, real)].map(|(stem, x)| self.refiner_features(&stem, x));
         let [rows, columns] = [&reference, &real].map(|f| self.plain_conv(&f.fine, "match.fine"));
         let levels = self.correlation(&rows, columns, WIDTHS.matching, LEVELS);
         let (first, global) = self.global_look(&reference.coarse, &real.coarse);
@@ -85,8 +87,9 @@ impl Export<'_> {
         self.conv(x, &weights, 1)
     }
 
-    fn refiner_features(&mut self, stem: &str, image: &str) -> Features {
-        let stem = self.normed(image, &format!("stem.{stem}"), "", 2, true);
+    fn refiner_features(&mut self, stem: &ConvWeights, image: &str) -> Features {
+        let stem = self.conv(image, stem, 2);
+        let stem = self.instance_norm(&stem, WIDTHS.trunk[0]);
         let mut x = self.graph.relu(&stem);
         let mut levels = Vec::new();
         for stage in 1..4 {
@@ -116,8 +119,7 @@ impl Export<'_> {
         let y = self.graph.relu(&y);
         let y = self.conv_relu(&y, "global.2");
         let context = self.graph.op("Add", &[&x, &y], &[]);
-        let change = self.plain_conv(&context, "global.flow");
-        (self.graph.op("Add", &[&matched, &change], &[]), context)
+        (self.plain_conv(&context, "global.flow"), context)
     }
 
     fn matched_flow(&mut self, reference: &str, real: &str) -> String {
@@ -171,4 +173,14 @@ impl Export<'_> {
         let logits = self.graph.concat(&[&parts[3], &parts[1]], 1);
         [parts[0].clone(), self.graph.op("Sigmoid", &[&logits], &[])]
     }
+}
+
+/// One convolution on the channels of two.
+fn side_by_side(a: &ConvWeights, b: &ConvWeights) -> ConvWeights {
+    let [o, ca, kh, kw] = a.shape;
+    let (wide, narrow) = (ca * kh * kw, b.shape[1] * kh * kw);
+    let filters = a.weight.chunks_exact(wide).zip(b.weight.chunks_exact(narrow));
+    let weight = filters.flat_map(|(a, b)| [a, b].concat()).collect();
+    let bias = a.bias.iter().zip(&b.bias).map(|(a, b)| a + b).collect();
+    ConvWeights { shape: [o, ca + b.shape[1], kh, kw], weight, bias }
 }

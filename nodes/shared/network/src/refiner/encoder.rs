@@ -6,9 +6,10 @@ use crate::ops;
 use crate::raft::{Conv, grid};
 use burn::tensor::{Tensor, activation};
 
-/// Stems of their own for rendering and photograph, then one trunk for both.
+/// One trunk for rendering and photograph; the rendering's geometry comes in at the first convolution.
 #[derive(Debug)]
 pub(super) struct Trunk {
+    /// Of the rendering's five channels and of the photograph's three.
     stems: [Conv; 2],
     stages: Vec<Stage>,
 }
@@ -36,8 +37,9 @@ fn halves(both: &Tensor<4>) -> [Tensor<4>; 2] {
 
 impl Trunk {
     pub(super) fn new(source: &Source<'_>) -> Self {
-        let stem = |name: &str| Conv::new(source.conv(&format!("stem.{name}")), 2);
-        let stems = ["reference", "real"].map(stem);
+        let ((colours, bias), (geometry, shift)) = (source.conv("stem"), source.conv("stem.geometry"));
+        let of_reference = (Tensor::cat(vec![colours.clone(), geometry], 1), bias.clone() + shift);
+        let stems = [Conv::new(of_reference, 2), Conv::new((colours, bias), 2)];
         Self { stems, stages: (1..4).map(|stage| Stage::new(source, stage)).collect() }
     }
 
@@ -101,14 +103,14 @@ impl GlobalLook {
         let [reference, real] = halves(&self.matching.forward(coarse.clone(), false));
         let matched = matched_flow(reference, real);
         let [reference, real] = halves(coarse);
-        let x = self.convs[0].forward(Tensor::cat(vec![reference, real, matched.clone()], 1), true);
+        let x = self.convs[0].forward(Tensor::cat(vec![reference, real, matched], 1), true);
         let y = self.convs[1].forward(x.clone(), true);
         // What all of the crop has in common, such as a turn of the whole object.
         let everywhere = self.pool.forward(y.clone().mean_dim(3).mean_dim(2), false);
         let y = activation::relu(y + everywhere);
         let y = self.convs[2].forward(y, true);
         let context = x + y;
-        (matched + self.flow.forward(context.clone(), false), context)
+        (self.flow.forward(context.clone(), false), context)
     }
 }
 

@@ -50,8 +50,11 @@ pub(super) fn layout() -> Vec<TensorSpec> {
     let w = WIDTHS;
     let mut list = List::default();
     let kaiming = Some(Init::KaimingNormal);
-    list.conv("stem.reference", w.trunk[0], super::REFERENCE_CHANNELS, [3, 3], kaiming);
-    list.conv("stem.real", w.trunk[0], 3, [3, 3], kaiming);
+    // One stem for the colours of both pictures, so that what looks alike has like features from the first step on; what the
+    // rendering's geometry adds begins at nothing.
+    list.conv("stem", w.trunk[0], 3, [3, 3], kaiming);
+    let nothing = Some(Init::Constant(0.0));
+    list.conv("stem.geometry", w.trunk[0], super::REFERENCE_CHANNELS - 3, [3, 3], nothing);
     for stage in 1..4 {
         let (from, to) = (w.trunk[stage - 1], w.trunk[stage]);
         list.conv(&format!("trunk.{stage}.down"), to, from, [3, 3], kaiming);
@@ -61,13 +64,14 @@ pub(super) fn layout() -> Vec<TensorSpec> {
             list.conv(&format!("trunk.{stage}.second"), to, to, [3, 3], kaiming);
         }
     }
-    list.conv("match.fine", w.matching, w.trunk[2], [1, 1], None);
-    list.conv("match.coarse", w.matching, w.trunk[3], [1, 1], None);
+    list.conv("match.fine", w.matching, w.trunk[2], [1, 1], kaiming);
+    list.conv("match.coarse", w.matching, w.trunk[3], [1, 1], kaiming);
     list.conv("global.0", w.global, 2 * w.trunk[3] + 2, [3, 3], None);
     list.conv("global.1", w.global, w.global, [3, 3], None);
     list.conv("global.pool", w.global, w.global, [1, 1], None);
     list.conv("global.2", w.global, w.global, [3, 3], None);
-    list.conv("global.flow", 2, w.global, [3, 3], None);
+    // A first flow of nothing: else the lookups begin at places where nothing matches.
+    list.conv("global.flow", 2, w.global, [3, 3], nothing);
     list.conv("context", w.hidden + w.context, w.trunk[2] + w.global, [1, 1], None);
     let window = LEVELS * (2 * RADIUS + 1).pow(2);
     list.conv("update.correlation", w.correlation, window, [1, 1], None);

@@ -13,7 +13,7 @@ use burn::tensor::{Device, Tensor};
 /// Weight of the visibility's cross entropy in the loss.
 const VISIBILITY_WEIGHT: f32 = 1.0;
 /// Weight of the coarse flows' L1 distance, px at full size, in the loss.
-const COARSE_WEIGHT: f32 = 0.5;
+const COARSE_WEIGHT: f32 = 1.0;
 
 /// [`crate::ops::mixture_loss`] of the prediction plus the L1 distance of the first flow and of each iteration's, px of the
 /// crop, the later the weightier (`gamma`).
