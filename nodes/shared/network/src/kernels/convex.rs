@@ -38,6 +38,7 @@ fn softmax(logits: &[f32], weights: &mut [f32]) {
 }
 
 /// A plane shifted so that index i holds the neighbour k of i, zeros outside.
+#[inline(always)]
 fn shifted(plane: &[f32], [h, w]: [usize; 2], k: usize) -> Vec<f32> {
     let mut out = vec![0.0; h * w];
     each_row([h, w], k, |target, source, count| {
@@ -47,6 +48,7 @@ fn shifted(plane: &[f32], [h, w]: [usize; 2], k: usize) -> Vec<f32> {
 }
 
 /// Calls `f(index, index of its neighbour k, count)` for the runs that have such a neighbour.
+#[inline(always)]
 fn each_row([h, w]: [usize; 2], k: usize, mut f: impl FnMut(usize, usize, usize)) {
     let (ky, kx) = (k / 3, k % 3);
     let first = usize::from(kx == 0);
@@ -60,6 +62,7 @@ fn each_row([h, w]: [usize; 2], k: usize, mut f: impl FnMut(usize, usize, usize)
 }
 
 /// Sorts (64, h, w), fine pixels of all coarse ones, into a plane (8 h, 8 w).
+#[inline(always)]
 fn to_fine(sorted: &[f32], [h, w]: [usize; 2], plane: &mut [f32]) {
     for (fine, values) in sorted.chunks_exact(h * w).enumerate() {
         let (fy, fx) = (fine / FACTOR, fine % FACTOR);
@@ -71,6 +74,7 @@ fn to_fine(sorted: &[f32], [h, w]: [usize; 2], plane: &mut [f32]) {
 }
 
 /// The inverse of [`to_fine`].
+#[inline(always)]
 fn from_fine(plane: &[f32], [h, w]: [usize; 2]) -> Vec<f32> {
     let mut sorted = vec![0.0; FINE * h * w];
     for (fine, values) in sorted.chunks_exact_mut(h * w).enumerate() {
@@ -83,6 +87,7 @@ fn from_fine(plane: &[f32], [h, w]: [usize; 2]) -> Vec<f32> {
     sorted
 }
 
+#[inline(always)]
 fn forward_image(x: &[f32], size: [usize; 2], weights: &[f32], y: &mut [f32]) {
     let area = size[0] * size[1];
     let mut sorted = vec![0.0; FINE * area];
@@ -102,6 +107,7 @@ fn forward_image(x: &[f32], size: [usize; 2], weights: &[f32], y: &mut [f32]) {
 }
 
 /// Gradients of one image: by x, and by the logits through the softmax, `dl_k = w_k (dw_k - sum_j w_j dw_j)`.
+#[inline(always)]
 fn backward_image(x: &[f32], size: [usize; 2], weights: &[f32], grad: &[f32], dx: &mut [f32], dlogits: &mut [f32]) {
     let area = size[0] * size[1];
     let n = FINE * area;
@@ -149,9 +155,11 @@ impl Kernel for ConvexUpsample {
             |(((y, weights), x), logits)| {
                 vectorize(
                     #[inline(always)]
-                    || softmax(logits, weights),
+                    || {
+                        softmax(logits, weights);
+                        forward_image(x, [h, w], weights, y);
+                    },
                 );
-                forward_image(x, [h, w], weights, y);
             },
         );
         (y, if keep { weights } else { Vec::new() })
@@ -164,10 +172,14 @@ impl Kernel for ConvexUpsample {
         let each = NEIGHBOURS * FINE * h * w;
         let outputs = dx.data.par_chunks_mut(c * h * w).zip(dlogits.data.par_chunks_mut(each));
         let inputs = x.data.par_chunks(c * h * w).zip(call.kept.par_chunks(each));
-        outputs
-            .zip(inputs)
-            .zip(call.grad.par_chunks(c * FINE * h * w))
-            .for_each(|(((dx, dlogits), (x, weights)), grad)| backward_image(x, [h, w], weights, grad, dx, dlogits));
+        outputs.zip(inputs).zip(call.grad.par_chunks(c * FINE * h * w)).for_each(
+            |(((dx, dlogits), (x, weights)), grad)| {
+                vectorize(
+                    #[inline(always)]
+                    || backward_image(x, [h, w], weights, grad, dx, dlogits),
+                );
+            },
+        );
         vec![Some(dx), Some(dlogits)]
     }
 }

@@ -34,6 +34,25 @@ pub(crate) fn tanh(x: f32) -> f32 {
     1.0 - 2.0 / (1.0 + exp(2.0 * x))
 }
 
+/// ln x with an error below 2e-7 (1 + |ln x|), for normal positive x.
+///
+/// x = 2^n m with m in [sqrt(1/2), sqrt(2)), then the series of 2 artanh((m - 1) / (m + 1)).
+#[inline(always)]
+pub(crate) fn ln(x: f32) -> f32 {
+    // The bits of sqrt(1/2): subtracting them leaves n in the exponent's place.
+    const HALF_ROOT: u32 = 0x3f35_04f3;
+    let shifted = x.to_bits().wrapping_sub(HALF_ROOT);
+    let n = (shifted as i32) >> 23;
+    let m = f32::from_bits((shifted & 0x007f_ffff).wrapping_add(HALF_ROOT));
+    let z = (m - 1.0) / (m + 1.0);
+    let square = z * z;
+    let mut p = 2.0 / 9.0;
+    for c in [2.0 / 7.0, 2.0 / 5.0, 2.0 / 3.0, 2.0] {
+        p = p * square + c;
+    }
+    n as f32 * std::f32::consts::LN_2 + p * z
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -47,6 +66,17 @@ mod tests {
             assert!((f64::from(sigmoid(x)) - 1.0 / (1.0 + (-exact).exp())).abs() < 3e-7, "sigmoid({x})");
             assert!((f64::from(tanh(x)) - exact.tanh()).abs() < 3e-7, "tanh({x})");
         }
+    }
+
+    #[test]
+    fn logarithm_is_close_to_double_precision() {
+        for i in 1..=200_000 {
+            for x in [i as f32 * 1e-4, i as f32 * 1e-7, i as f32 * 10.0] {
+                let exact = f64::from(x).ln();
+                assert!((f64::from(ln(x)) - exact).abs() < 2e-7 * (1.0 + exact.abs()), "ln({x})");
+            }
+        }
+        assert_eq!(ln(1.0), 0.0);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The loss of a flow that says how sure it is.
 
-use super::math::{exp, sigmoid};
-use super::{Array, BackwardCall, Kernel, View};
+use super::math::{exp, ln, sigmoid};
+use super::{Array, BackwardCall, Kernel, View, vectorize};
 use rayon::prelude::*;
 
 /// Scale of the mixture's sure component, px: one pixel, so that its share of the loss is an L1 loss.
@@ -10,6 +10,8 @@ pub(crate) const SURE_SCALE_PX: f32 = 1.0;
 pub(crate) const MAX_LOG_SCALE: f32 = 5.0;
 /// Channels of a prediction: flow x, y, logit of the sure component, raw scale of the unsure one, logit of visibility.
 pub(crate) const CHANNELS: usize = 5;
+/// Pixels whose terms are computed together.
+const RUN: usize = 256;
 
 /// Negative logarithm of a mixture of two Laplace distributions, one of fixed scale (SEA-RAFT, Wang et al., ECCV 2024, equation
 /// 4, with one decision for both coordinates), and the cross entropy of the visibility.
@@ -40,10 +42,10 @@ fn mixture(d: [f32; 2], logit: f32, raw: f32) -> (f32, [f32; 4]) {
     let top = if sure > unsure { sure } else { unsure };
     let (e_sure, e_unsure) = (exp(sure - top), exp(unsure - top));
     let sum = e_sure + e_unsure;
-    let value = 4.0_f32.ln() + 2.0 * SURE_SCALE_PX.ln() - top - sum.ln();
+    let value = ln(4.0) + 2.0 * ln(SURE_SCALE_PX) - top - ln(sum);
     let posterior = e_sure / sum;
     let slope = (posterior + (1.0 - posterior) * inverse_b) / SURE_SCALE_PX;
-    let sign = |v: f32| f32::from(i8::from(v > 0.0) - i8::from(v < 0.0));
+    let sign = |v: f32| if v == 0.0 { 0.0 } else { 1.0_f32.copysign(v) };
     // d ln(unsure) / d log b = l1 / b - 2.
     let by_log_b = -(1.0 - posterior) * (l1 * inverse_b / SURE_SCALE_PX - 2.0);
     let by_raw = by_log_b * MAX_LOG_SCALE * share * (1.0 - share);
@@ -54,7 +56,7 @@ fn mixture(d: [f32; 2], logit: f32, raw: f32) -> (f32, [f32; 4]) {
 #[inline(always)]
 fn softplus(x: f32) -> f32 {
     let positive = if x > 0.0 { x } else { 0.0 };
-    positive + exp(-x.abs()).ln_1p()
+    positive + ln(1.0 + exp(-x.abs()))
 }
 
 impl MixtureLoss {
@@ -70,6 +72,44 @@ impl MixtureLoss {
     }
 }
 
+impl MixtureLoss {
+    /// Sums of both terms over one image, whose gradient is filled.
+    #[inline(always)]
+    fn image(&self, counts: [f32; 2], prediction: &[f32], target: &[f32], gradient: &mut [f32]) -> [f64; 2] {
+        let area = target.len() / 4;
+        let mut sums = [0.0_f64; 2];
+        for start in (0..area).step_by(RUN) {
+            let count = RUN.min(area - start);
+            let mut terms = [[0.0; RUN]; 2];
+            let [flow_terms, seen_terms] = &mut terms;
+            let [px, py, logit, raw, visible] = std::array::from_fn(|k| &prediction[k * area + start..][..count]);
+            let [tx, ty, weight, seen] = std::array::from_fn(|k| &target[k * area + start..][..count]);
+            let mut slopes = [[0.0; RUN]; CHANNELS];
+            for i in 0..count {
+                let (value, by) = mixture([px[i] - tx[i], py[i] - ty[i]], logit[i], raw[i]);
+                let (counts_here, scale) = (weight[i] > 0.0, weight[i] / counts[0]);
+                flow_terms[i] = if counts_here { weight[i] * value } else { 0.0 };
+                for k in 0..4 {
+                    slopes[k][i] = if counts_here { by[k] * scale } else { 0.0 };
+                }
+            }
+            for i in 0..count {
+                let foreground = seen[i] >= 0.0;
+                let slope = self.visibility_weight * (sigmoid(visible[i]) - seen[i]) / counts[1];
+                seen_terms[i] = if foreground { softplus(visible[i]) - seen[i] * visible[i] } else { 0.0 };
+                slopes[4][i] = if foreground { slope } else { 0.0 };
+            }
+            for (k, slopes) in slopes.iter().enumerate() {
+                gradient[k * area + start..][..count].copy_from_slice(&slopes[..count]);
+            }
+            for (sum, terms) in sums.iter_mut().zip(&terms) {
+                *sum += terms[..count].iter().map(|&v| f64::from(v)).sum::<f64>();
+            }
+        }
+        sums
+    }
+}
+
 impl Kernel for MixtureLoss {
     fn forward(&self, inputs: &[View<'_>], keep: bool) -> (Array, Vec<f32>) {
         let [prediction, target] = [inputs[0], inputs[1]];
@@ -81,23 +121,10 @@ impl Kernel for MixtureLoss {
             .zip(prediction.data.par_chunks(CHANNELS * area))
             .zip(target.data.par_chunks(4 * area))
             .map(|((gradient, p), t)| {
-                let (mut flow, mut visibility) = (0.0_f64, 0.0_f64);
-                for i in 0..area {
-                    let weight = t[2 * area + i];
-                    if weight > 0.0 {
-                        let d = [p[i] - t[i], p[area + i] - t[area + i]];
-                        let (value, slopes) = mixture(d, p[2 * area + i], p[3 * area + i]);
-                        flow += f64::from(weight * value);
-                        (0..4).for_each(|k| gradient[k * area + i] = slopes[k] * weight / flow_count);
-                    }
-                    let seen = t[3 * area + i];
-                    if seen >= 0.0 {
-                        let logit = p[4 * area + i];
-                        visibility += f64::from(softplus(logit) - seen * logit);
-                        gradient[4 * area + i] = self.visibility_weight * (sigmoid(logit) - seen) / foreground_count;
-                    }
-                }
-                [flow, visibility]
+                vectorize(
+                    #[inline(always)]
+                    || self.image([flow_count, foreground_count], p, t, gradient),
+                )
             })
             .collect();
         let [flow, visibility] = [0, 1].map(|k| sums.iter().map(|s| s[k]).sum::<f64>() as f32);

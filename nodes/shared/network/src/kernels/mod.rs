@@ -12,6 +12,7 @@ mod lookup;
 mod math;
 mod mixture;
 mod norm;
+mod scratch;
 mod simd;
 mod update;
 mod upsample;
@@ -87,6 +88,15 @@ pub(crate) trait Kernel: std::fmt::Debug + Send + Sync {
 /// `grad` where `output > 0`, else 0: the gradient before a ReLU.
 pub(crate) fn relu_mask(grad: &[f32], output: &[f32]) -> Vec<f32> {
     grad.iter().zip(output).map(|(&g, &y)| if y > 0.0 { g } else { 0.0 }).collect()
+}
+
+/// [`relu_mask`] into a buffer of at least this length.
+pub(crate) fn relu_masked<'a>(grad: &[f32], output: &[f32], buffer: &'a mut [f32]) -> &'a [f32] {
+    let buffer = &mut buffer[..grad.len()];
+    for ((b, &g), &y) in buffer.iter_mut().zip(grad).zip(output) {
+        *b = if y > 0.0 { g } else { 0.0 };
+    }
+    buffer
 }
 
 /// Sums of equal parts, added in their order.

@@ -1,61 +1,64 @@
-//! Sixteen f32 that the compiler keeps in vector registers, and the choice of the instruction set.
+//! Vectors of f32 and the choice of the instruction set.
 //!
 //! Only additions and multiplications, never fused: every instruction set gives the same bits.
 
+use pulp::Simd;
 use std::ops::{Add, Mul, Sub};
 
-/// Lanes of a [`Pack`].
+/// Values of the widest vector.
 pub(super) const LANES: usize = 16;
 
-/// Sixteen values that undergo the same arithmetic.
+/// As much memory as the widest vector.
+pub(super) type Lanes = [f32; LANES];
+
+/// A vector of `S::F32_LANES` values, which divides [`LANES`].
 #[derive(Clone, Copy)]
-pub(super) struct Pack(pub(super) [f32; LANES]);
+pub(super) struct Pack<S: Simd> {
+    simd: S,
+    pub(super) lanes: S::f32s,
+}
 
-impl Pack {
-    pub(super) const ZERO: Self = Self([0.0; LANES]);
-
-    /// The first values of a slice, zeros beyond its end.
+impl<S: Simd> Pack<S> {
     #[inline(always)]
-    pub(super) fn load(values: &[f32]) -> Self {
-        let mut lanes = [0.0; LANES];
-        match values.first_chunk::<LANES>() {
-            Some(chunk) => lanes = *chunk,
-            None => lanes[..values.len()].copy_from_slice(values),
-        }
-        Self(lanes)
+    pub(super) fn new(simd: S, lanes: S::f32s) -> Self {
+        Self { simd, lanes }
     }
 
-    /// Fills a slice of at most sixteen values.
+    /// The same value in all lanes.
     #[inline(always)]
-    pub(super) fn store(self, values: &mut [f32]) {
-        match values.first_chunk_mut::<LANES>() {
-            Some(chunk) => *chunk = self.0,
-            None => values.copy_from_slice(&self.0[..values.len()]),
-        }
+    pub(super) fn splat(simd: S, value: f32) -> Self {
+        Self { simd, lanes: simd.splat_f32s(value) }
+    }
+
+    /// The values, those below `floor` replaced by it; NaN stays, which `f32::max` would hide.
+    #[inline(always)]
+    pub(super) fn at_least(self, floor: Self) -> Self {
+        let below = self.simd.less_than_f32s(self.lanes, floor.lanes);
+        Self { lanes: self.simd.select_f32s(below, floor.lanes, self.lanes), ..self }
     }
 }
 
-impl Add for Pack {
+impl<S: Simd> Add for Pack<S> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] + other.0[i]))
+        Self { lanes: self.simd.add_f32s(self.lanes, other.lanes), ..self }
     }
 }
 
-impl Sub for Pack {
+impl<S: Simd> Sub for Pack<S> {
     type Output = Self;
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] - other.0[i]))
+        Self { lanes: self.simd.sub_f32s(self.lanes, other.lanes), ..self }
     }
 }
 
-impl Mul<f32> for Pack {
+impl<S: Simd> Mul<f32> for Pack<S> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, factor: f32) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] * factor))
+        Self { lanes: self.simd.mul_f32s(self.lanes, self.simd.splat_f32s(factor)), ..self }
     }
 }
 

@@ -102,9 +102,12 @@ fn convolution_gradients_equal_differences() {
 
 #[test]
 fn winograd_equals_stock_and_differences() {
-    for (h, w) in [(8, 8), (7, 5), (1, 1), (16, 16)] {
+    let sizes = [(3, 5, 4, 8, 8), (3, 5, 4, 7, 5), (3, 5, 4, 1, 1), (3, 5, 4, 16, 16)];
+    // More channels than a vector holds, and whole vectors.
+    let wide = [(2, 17, 33, 5, 9), (1, 32, 16, 3, 6), (3, 6, 20, 19, 22)];
+    for (n, c, o, h, w) in sizes.into_iter().chain(wide) {
         for relu in [false, true] {
-            let (x, g, b) = (random([3, 5, h, w], 1), random([4, 5, 3, 3], 2), random([4], 3));
+            let (x, g, b) = (random([n, c, h, w], 1), random([o, c, 3, 3], 2), random([o], 3));
             let ours = conv3x3(x.clone(), &Prepared3x3::new(g.clone(), b.clone()), relu);
             let spec = ConvSpec { stride: 1, pad: [1, 1], relu };
             let theirs = stock::conv2d(x.clone(), g.clone(), b.clone(), spec);

@@ -1,7 +1,12 @@
 //! Convolution as im2col and matrix product, one block of output rows at a time so that the columns stay in cache.
+//! Few filters need no columns: see `few`.
+
+mod few;
 
 use super::gemm::{Matrix, matmul};
-use super::{Array, BackwardCall, Kernel, View, sum_in_order};
+use super::scratch::Scratch;
+use super::simd::LANES;
+use super::{Array, BackwardCall, Kernel, View, relu_masked, sum_in_order};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -67,6 +72,11 @@ impl Geometry {
         Some((iy, first, ix, end.saturating_sub(first)))
     }
 
+    /// A buffer for the columns of a block of `rows` output rows.
+    fn columns(&self, rows: usize) -> Scratch {
+        Scratch::lend((self.k() * rows * self.wo).div_ceil(LANES))
+    }
+
     /// Fills columns (K, rows * wo) from one image.
     fn im2col(&self, image: &[f32], rows: &Range<usize>, col: &mut [f32]) {
         let n = rows.len() * self.wo;
@@ -109,15 +119,17 @@ impl Geometry {
     fn forward_image(&self, x: &[f32], w: &[f32], b: &[f32], y: &mut [f32]) {
         let (k, area) = (self.k(), self.ho * self.wo);
         let weights = Matrix::new(w, self.o, k);
-        let mut col = Vec::new();
-        for rows in self.blocks() {
-            let (start, n) = (rows.start * self.wo, rows.len() * self.wo);
-            if self.is_pointwise() {
-                matmul(y, area, weights, Matrix::new(x, k, n), false);
-            } else {
-                col.resize(k * n, 0.0);
-                self.im2col(x, &rows, &mut col);
-                matmul(&mut y[start..], area, weights, Matrix::new(&col, k, n), false);
+        if self.is_pointwise() {
+            matmul(y, area, weights, Matrix::new(x, k, area), false);
+        } else if self.has_few_filters() {
+            self.forward_few(x, w, y);
+        } else {
+            for rows in self.blocks() {
+                let (start, n) = (rows.start * self.wo, rows.len() * self.wo);
+                let mut col = self.columns(rows.len());
+                let col = &mut col.as_flattened_mut()[..k * n];
+                self.im2col(x, &rows, col);
+                matmul(&mut y[start..], area, weights, Matrix::new(col, k, n), false);
             }
         }
         for (plane, &bias) in y.chunks_exact_mut(area).zip(b) {
@@ -137,17 +149,20 @@ impl Geometry {
             }
             return;
         }
+        if self.has_few_filters() {
+            return self.backward_few(x, w, g, dx, dw);
+        }
         let mut dx = dx;
-        let mut col = Vec::new();
         for rows in self.blocks() {
             let (start, n) = (rows.start * self.wo, rows.len() * self.wo);
             let grad = Matrix::strided(&g[start..], self.o, n, area);
-            col.resize(k * n, 0.0);
-            self.im2col(x, &rows, &mut col);
-            matmul(dw, k, grad, Matrix::new(&col, k, n).t(), true);
-            if let Some(dx) = dx.as_deref_mut() {
-                matmul(&mut col, n, weights.t(), grad, false);
-                self.col2im(&col, &rows, dx);
+            let mut col = self.columns(rows.len());
+            let col = &mut col.as_flattened_mut()[..k * n];
+            self.im2col(x, &rows, col);
+            matmul(dw, k, grad, Matrix::new(col, k, n).t(), true);
+            if let Some(dx) = &mut dx {
+                matmul(col, n, weights.t(), grad, false);
+                self.col2im(col, &rows, dx);
             }
         }
     }
@@ -194,11 +209,10 @@ impl Kernel for Conv {
         let (image, out) = (g.c * g.h * g.w, g.o * g.ho * g.wo);
         let mut dx = call.wanted[0].then(|| Array::zeros(x.shape));
         let per_image = |n: usize, dx: Option<&mut [f32]>| {
-            let masked;
+            let mut masked = Scratch::lend(if self.relu { out.div_ceil(LANES) } else { 0 });
             let mut grad = &call.grad[n * out..][..out];
             if self.relu {
-                masked = super::relu_mask(grad, &call.output.data[n * out..][..out]);
-                grad = &masked;
+                grad = relu_masked(grad, &call.output.data[n * out..][..out], masked.as_flattened_mut());
             }
             let mut dw = vec![0.0; g.o * g.k()];
             g.backward_image(&x.data[n * image..][..image], w.data, grad, dx, &mut dw);
