@@ -86,6 +86,49 @@ fn devices_that_are_not_there_or_no_devices() {
     assert_says(&said, &["gpu", "vulkan:N"]);
 }
 
+/// Looks at `pretrain`'s pictures for backgrounds, of which it makes a sheet into `folder`.
+fn sheet_with(backgrounds: &Path, folder: &Path) -> std::process::Output {
+    let path = |name: &str| folder.join(name).to_str().expect("utf-8").to_owned();
+    let backgrounds = backgrounds.to_str().expect("utf-8");
+    let objects =
+        ["pretrain", "--objects", "config/objects/tabletop", "--network", "nano", "--backgrounds", backgrounds];
+    let (sheet, out) = (path("sheet.png"), path("w.safetensors"));
+    run(&[&objects[..], &["--preview", &sheet, "--out", &out]].concat())
+}
+
+#[test]
+fn backgrounds_without_pictures() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let empty = folder.path().join("empty");
+    std::fs::create_dir(&empty).expect("a folder");
+    let cut = folder.path().join("cut.mcap");
+    std::fs::write(&cut, &std::fs::read(demo_bag()).expect("the demo bag")[..3000]).expect("it can be written");
+    for (backgrounds, words) in [
+        (&empty, ["empty", "no picture"]),
+        (&folder.path().join("none"), ["none", "folder"]),
+        (&cut, ["cut.mcap", "cut.mcap"]),
+    ] {
+        let output = sheet_with(backgrounds, folder.path());
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && !said.contains("panicked"), "{said}");
+        assert_says(&said, &words);
+        assert!(!folder.path().join("sheet.png").exists());
+    }
+}
+
+#[test]
+fn a_recording_without_any_annotation_gives_backgrounds() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for _ in 0..2 {
+        // The second time the frames are there.
+        let output = sheet_with(&common::root().join("bags/tabletop_demo"), folder.path());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(folder.path().join("sheet.png").is_file());
+        let frames = std::fs::read_dir(folder.path().join("w.backgrounds/00")).expect("its frames").count();
+        assert!(frames > 3, "{frames}");
+    }
+}
+
 #[test]
 fn damaged_empty_and_foreign_bags() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -12,7 +12,7 @@ const JPEG_QUALITY: u8 = 92;
 /// The folders as they are; for each bag a folder beside `out` with its frames.
 pub(super) fn picture_folders(sources: &[PathBuf], out: &Path) -> Result<Vec<PathBuf>> {
     let folder = |(number, source): (usize, &PathBuf)| match is_bag(source) {
-        true => frames_of(source, &out.with_extension(format!("backgrounds/{number:02}"))),
+        true => frames_of(source, &out.with_extension("backgrounds").join(format!("{number:02}"))),
         false => Ok(source.clone()),
     };
     sources.iter().enumerate().map(folder).collect()

@@ -22,23 +22,20 @@ struct Level {
     data: Vec<[u8; 3]>,
 }
 
-/// Photographs are kept with at most this long a side, pixels.
-const LONGEST_PX: usize = 480;
+/// Photographs are halved until no side is longer, pixels.
+const LONGEST_PX: usize = 640;
 /// Photographs with a shorter side than this, or with hardly any variation, are not usable.
 const SHORTEST_PX: u32 = 64;
 /// Most photographs that are kept; of more, every n-th is taken.
 const MOST: usize = 600;
 
 impl Photo {
-    /// Shrinks it to [`LONGEST_PX`] and builds the levels.
+    /// Halves it to at most [`LONGEST_PX`] and builds the levels.
     pub(super) fn new(image: &RgbImage) -> Self {
         let data = image.as_chunks::<3>().0.to_vec();
         let mut level = Level { width: image.width() as usize, height: image.height() as usize, data };
-        while level.width.max(level.height) >= 2 * LONGEST_PX {
+        while level.width.max(level.height) > LONGEST_PX {
             level = level.halved();
-        }
-        if level.width.max(level.height) > LONGEST_PX {
-            level = level.shrunk(LONGEST_PX as f32 / level.width.max(level.height) as f32);
         }
         let mut levels = vec![level];
         while levels.last().is_some_and(|l| l.width.min(l.height) > 1) {
@@ -66,31 +63,29 @@ impl Photo {
 }
 
 impl Level {
+    /// The mean of each 2 x 2 pixels; an odd last row or column is left out.
     fn halved(&self) -> Self {
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
-        let at = |x: usize, y: usize| self.data[y.min(self.height - 1) * self.width + x.min(self.width - 1)];
-        let mean = |i: usize| {
-            let (x, y) = (i % width * 2, i / width * 2);
-            let four = [at(x, y), at(x + 1, y), at(x, y + 1), at(x + 1, y + 1)];
-            std::array::from_fn(|k| (four.iter().map(|c| u32::from(c[k])).sum::<u32>().div_ceil(4)) as u8)
-        };
-        Self { width, height, data: (0..width * height).map(mean).collect() }
-    }
-
-    /// By a factor from 0.5 to 1, bilinearly.
-    fn shrunk(&self, factor: f32) -> Self {
-        let size = |v: usize| ((v as f32 * factor) as usize).max(1);
-        let (width, height) = (size(self.width), size(self.height));
-        let place = |i: usize| (i as f32 + 0.5) / factor - 0.5;
-        let colour = |i: usize| self.bilinear(place(i % width), place(i / width)).map(|c| (c * 255.0 + 0.5) as u8);
-        Self { width, height, data: (0..width * height).map(colour).collect() }
+        let mut data = Vec::with_capacity(width * height);
+        for y in 0..height {
+            let row = |y: usize| &self.data[y.min(self.height - 1) * self.width..][..self.width];
+            let (above, below) = (row(2 * y), row(2 * y + 1));
+            if self.width == 1 {
+                data.push(mean([above[0], above[0], below[0], below[0]]));
+                continue;
+            }
+            let pairs = above.as_chunks::<2>().0.iter().zip(below.as_chunks::<2>().0);
+            data.extend(pairs.map(|(a, b)| mean([a[0], a[1], b[0], b[1]])));
+        }
+        Self { width, height, data }
     }
 
     fn bilinear(&self, x: f32, y: f32) -> [f32; 3] {
         let (x0, tx) = whole(x);
         let (y0, ty) = whole(y);
-        let (xa, xb) = (mirrored(x0, self.width), mirrored(x0.wrapping_add(1), self.width));
-        let rows = [mirrored(y0, self.height), mirrored(y0.wrapping_add(1), self.height)].map(|y| y * self.width);
+        let (xa, xb) = neighbours(x0, self.width);
+        let (ya, yb) = neighbours(y0, self.height);
+        let rows = [ya, yb].map(|y| y * self.width);
         let [a, b, c, d] = [rows[0] + xa, rows[0] + xb, rows[1] + xa, rows[1] + xb].map(|i| self.data[i]);
         let weights = [(1.0 - tx) * (1.0 - ty), tx * (1.0 - ty), (1.0 - tx) * ty, tx * ty].map(|w| w / 255.0);
         std::array::from_fn(|k| {
@@ -107,6 +102,18 @@ fn whole(v: f32) -> (i32, f32) {
     let towards_zero = v as i32;
     let below = towards_zero.saturating_sub(i32::from(towards_zero as f32 > v));
     (below, (v - below as f32).clamp(0.0, 1.0))
+}
+
+fn mean(four: [[u8; 3]; 4]) -> [u8; 3] {
+    std::array::from_fn(|k| ((four.iter().map(|c| u32::from(c[k])).sum::<u32>() + 2) / 4) as u8)
+}
+
+/// The places of pixels i and i + 1.
+fn neighbours(i: i32, size: usize) -> (usize, usize) {
+    match usize::try_from(i) {
+        Ok(inside) if inside + 1 < size => (inside, inside + 1),
+        _ => (mirrored(i, size), mirrored(i.wrapping_add(1), size)),
+    }
 }
 
 fn mirrored(i: i32, size: usize) -> usize {
@@ -234,9 +241,9 @@ mod tests {
     }
 
     #[test]
-    fn large_pictures_are_shrunk() {
-        let [width, height] = Photo::new(&ramp(1500, 900)).size_px();
-        assert!(width <= LONGEST_PX && (width as f32 / height as f32 - 5.0 / 3.0).abs() < 0.02);
+    fn large_pictures_are_halved() {
+        assert_eq!(Photo::new(&ramp(1500, 901)).size_px(), [375, 225]);
+        assert_eq!(Photo::new(&ramp(640, 400)).size_px(), [640, 400]);
     }
 
     #[test]

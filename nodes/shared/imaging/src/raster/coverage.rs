@@ -198,24 +198,69 @@ impl Target<'_> {
     fn fill(&mut self, edges: &[Edge; 3], plane: &Plane, (x0, x1, y0, y1): (i32, i32, i32, i32), number: u32) {
         let mut row = edges.each_ref().map(|e| e.value);
         for y in y0..=y1 {
-            let mut w = row;
             let line = (y * self.width) as usize;
-            let mut inverse_depth = plane.at(x0, y);
-            for x in x0..=x1 {
-                if w[0] | w[1] | w[2] >= 0 {
-                    let i = line + x as usize;
-                    if inverse_depth as f32 > self.inverse_depth[i] {
-                        self.inverse_depth[i] = inverse_depth as f32;
-                        self.triangle[i] = number;
-                        self.owner[i] = self.label;
-                    }
+            if x1 - x0 >= WIDE_PX {
+                if let Some((from, to)) = span(edges, &row, x1 - x0) {
+                    self.fill_span(line, (x0 + from, x0 + to), plane.at(x0 + from, y), plane.step_x, number);
                 }
-                (0..3).for_each(|k| w[k] += edges[k].step_x);
-                inverse_depth += plane.step_x;
+            } else {
+                self.fill_row(edges, row, line, (x0, x1), (plane.at(x0, y), plane.step_x), number);
             }
             (0..3).for_each(|k| row[k] += edges[k].step_y);
         }
     }
+
+    fn fill_row(
+        &mut self,
+        edges: &[Edge; 3],
+        mut w: [i64; 3],
+        line: usize,
+        (x0, x1): (i32, i32),
+        (mut inverse_depth, step): (f64, f64),
+        number: u32,
+    ) {
+        for x in x0..=x1 {
+            if w[0] | w[1] | w[2] >= 0 {
+                self.put(line + x as usize, inverse_depth as f32, number);
+            }
+            (0..3).for_each(|k| w[k] += edges[k].step_x);
+            inverse_depth += step;
+        }
+    }
+
+    /// The samples from `from` to `to` of a line, all of which lie in the triangle.
+    fn fill_span(&mut self, line: usize, (from, to): (i32, i32), mut inverse_depth: f64, step: f64, number: u32) {
+        for x in from..=to {
+            self.put(line + x as usize, inverse_depth as f32, number);
+            inverse_depth += step;
+        }
+    }
+
+    fn put(&mut self, sample: usize, inverse_depth: f32, number: u32) {
+        if inverse_depth > self.inverse_depth[sample] {
+            self.inverse_depth[sample] = inverse_depth;
+            self.triangle[sample] = number;
+            self.owner[sample] = self.label;
+        }
+    }
+}
+
+/// In rows at least this long the part inside a triangle is found by division, not by trying each sample.
+const WIDE_PX: i32 = 24;
+
+/// First and last step from 0 to `last` for which no edge function is negative.
+fn span(edges: &[Edge; 3], row: &[i64; 3], last: i32) -> Option<(i32, i32)> {
+    let (mut from, mut to) = (0_i64, i64::from(last));
+    for (edge, &value) in edges.iter().zip(row) {
+        match edge.step_x {
+            0 if value < 0 => return None,
+            0 => {}
+            // value + n step >= 0 from n = ceil(-value / step) on.
+            step if step > 0 => from = from.max((-value).div_euclid(step) + i64::from((-value).rem_euclid(step) != 0)),
+            step => to = to.min(value.div_euclid(-step)),
+        }
+    }
+    (from <= to).then_some((from as i32, to as i32))
 }
 
 /// An edge function: not negative where a pixel centre is inside or on a top or left edge.
