@@ -179,10 +179,11 @@ fn a_covariance_is_scaled_by_blocks() {
         translation_slope: 3_f64.ln(),
         rotation: 5_f64.ln(),
         rotation_slope: 0.0,
+        decorrelation: 0.5,
     };
     let scaled = scale.apply(&[1.0; 36], 0.0);
     let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
-    assert!(close(scaled[0], 36.0) && close(scaled[2 * 6 + 4], 30.0) && close(scaled[35], 25.0), "{scaled:?}");
+    assert!(close(scaled[0], 36.0) && close(scaled[2 * 6 + 4], 15.0) && close(scaled[35], 25.0), "{scaled:?}");
     assert!(close(scale.apply(&[1.0; 36], 1.0)[7], 4.0));
 }
 
