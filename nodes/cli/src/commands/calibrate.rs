@@ -30,7 +30,7 @@ pub(crate) struct Args {
     /// The network that the weights belong to: nano, small or paper.
     #[arg(long, default_value = "auto")]
     network: String,
-    /// Refinements to learn from.
+    /// Refinements to make and learn from; 0 to learn from `--samples` alone.
     #[arg(long, default_value_t = 3000)]
     pairs: usize,
     /// Width and height of the crops, pixels; several share the refinements.
@@ -59,9 +59,11 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     for file in &args.samples {
         all.extend(samples::read(file)?);
     }
-    let made = make(args)?;
-    samples::write(&args.out.with_extension("samples.jsonl"), &made)?;
-    all.extend(made);
+    if args.pairs > 0 {
+        let made = make(args)?;
+        samples::write(&args.out.with_extension("samples.jsonl"), &made)?;
+        all.extend(made);
+    }
     let fitted = fit_stage(&all, args.ridge).with_context(|| format!("{} refinements", all.len()))?;
     print!("{}", report(&all, &fitted));
     write(args, &all, fitted)?;

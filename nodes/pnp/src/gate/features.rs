@@ -166,9 +166,9 @@ impl Features {
     }
 }
 
-/// The logarithm, between those of a millionth and of a thousand; NaN stays.
+/// The logarithm, between those of a millionth and of a thousand. Nothing is known of what is 0: a covariance of zeros.
 fn ln_of(value: f64) -> f64 {
-    if value.is_nan() { value } else { value.clamp(1e-6, 1e3).ln() }
+    if value > 0.0 { value.clamp(1e-6, 1e3).ln() } else { f64::NAN }
 }
 
 #[cfg(test)]

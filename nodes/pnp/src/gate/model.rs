@@ -45,7 +45,8 @@ pub struct StageModel {
 }
 
 /// What the solver's standard deviations are multiplied with: `exp(translation + translation_slope (1 - confidence))`,
-/// rotation likewise. The solver knows the noise of its inliers; that they may be wrong together is learnt.
+/// rotation likewise; its correlations are multiplied with `1 - decorrelation`. The solver knows the noise of its inliers; that
+/// they may be wrong together, also along directions that it holds for certain, is learnt.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CovarianceScale {
@@ -57,6 +58,8 @@ pub struct CovarianceScale {
     pub rotation: f64,
     /// What it gains down to a confidence of 0.
     pub rotation_slope: f64,
+    /// How much of the correlations is not believed, 0..1.
+    pub decorrelation: f64,
 }
 
 impl CovarianceScale {
@@ -71,12 +74,13 @@ impl CovarianceScale {
     #[must_use]
     pub fn apply(&self, covariance: &[f64; 36], confidence: f64) -> [f64; 36] {
         let factors = self.factors(confidence);
-        std::array::from_fn(|i| covariance[i] * factors[i / 6 / 3] * factors[i % 6 / 3])
+        let believed = |i: usize| if i % 7 == 0 { 1.0 } else { 1.0 - self.decorrelation };
+        std::array::from_fn(|i| covariance[i] * factors[i / 6 / 3] * factors[i % 6 / 3] * believed(i))
     }
 
     fn is_sound(&self) -> bool {
         let all = [self.translation, self.translation_slope, self.rotation, self.rotation_slope];
-        all.iter().all(|v| v.abs() <= 20.0)
+        all.iter().all(|v| v.abs() <= 20.0) && (0.0..=1.0).contains(&self.decorrelation)
     }
 }
 
