@@ -35,6 +35,8 @@ enum Command {
     Adapt(commands::adapt::Args),
     /// Trains once for every row of a table and every seed, and scores what came out.
     Ablate(commands::ablate::Args),
+    /// Learns from synthetic images when refined poses can be believed.
+    Calibrate(commands::calibrate::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
     /// Times a training step and a look on a device.
@@ -88,6 +90,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Node(args) => commands::run::node(&args),
         Command::Pretrain(args) => commands::pretrain::run(&args),
         Command::Adapt(args) => commands::adapt::run(&args),
+        Command::Calibrate(args) => commands::calibrate::run(&args),
         Command::Export(args) => commands::export::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
         Command::Eval(args) => commands::eval::run(&args),

@@ -7,4 +7,4 @@
 pub mod gate;
 mod node;
 
-pub use node::{Judgement, PnpNode, PnpNodeConfig};
+pub use node::{Judgement, Look, PnpNode, PnpNodeConfig, Refinement};

@@ -1,5 +1,6 @@
 //! Preview sheet and speed of the synthetic data:
-//! `cargo run --release -p pseudoflow-trainer --example synth -- MODELS_DIR[,DIR...] SHEET.png [FIRST COUNT SIZE SEED]`
+//! `cargo run --release -p pseudoflow-trainer --example synth -- MODELS_DIR[,DIR...] SHEET.png [FIRST COUNT SIZE SEED]`,
+//! with photographs of the folder in the environment variable BACKGROUNDS.
 
 use pseudoflow_imaging::save_png;
 use pseudoflow_trainer::preview_sheet;
@@ -17,10 +18,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (first, count, size, seed) = (number(0, 0)?, number(1, 8)?, number(2, 128)?, number(3, 1)?);
     let folders: Vec<PathBuf> = models.split(',').map(PathBuf::from).collect();
     let objects = Arc::new(ObjectPool::load(&folders)?);
-    let generator = SampleGenerator::new(objects, SynthConfig::default(), seed)?;
+    let backgrounds: Vec<PathBuf> = std::env::var_os("BACKGROUNDS").map(PathBuf::from).into_iter().collect();
+    let generator =
+        SampleGenerator::new(objects, SynthConfig::default(), seed)?.with_backgrounds(&backgrounds, false)?;
     let start = Instant::now();
     let samples = generator.batch(first, count as usize, size as u32)?;
     let rate = count as f64 / start.elapsed().as_secs_f64();
     eprintln!("{rate:.1} samples/s at {size} px on {} threads", rayon::current_num_threads());
-    Ok(save_png(&preview_sheet(&samples), Path::new(sheet))?)
+    // One pair of each scene is shown.
+    let shown: Vec<_> = samples.into_iter().step_by(generator.pairs_per_scene()).collect();
+    Ok(save_png(&preview_sheet(&shown), Path::new(sheet))?)
 }

@@ -1,3 +1,4 @@
+use super::frames::picture_folders;
 use anyhow::{Context as _, Result, bail};
 use pseudoflow_imaging::{RgbImage, save_png};
 use pseudoflow_network::ComputeDevice;
@@ -29,6 +30,17 @@ pub(crate) struct Args {
     /// refiner, nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
     #[arg(long, default_value = "nano")]
     network: String,
+    /// Flow: photographs for walls, tables and cards of the scenes, without any annotation: folders of pictures (and the
+    /// folders in them), or recordings (bags), whose frames are copied to a folder beside `--out`.
+    #[arg(long, value_delimiter = ',', value_name = "DIR|BAG[,...]")]
+    backgrounds: Vec<PathBuf>,
+    /// Flow: leaves out meshes and pictures that their folder's `meta.json` does not release for shipping.
+    #[arg(long)]
+    only_shippable: bool,
+    /// Flow: what the synthetic pairs look like, a YAML or JSON file with any of the keys of `SynthConfig`. `--preview`
+    /// shows what comes out.
+    #[arg(long, value_name = "FILE")]
+    synth: Option<PathBuf>,
     /// The weights to write (.safetensors). Log, plot and checkpoint stand beside them.
     #[arg(long)]
     out: PathBuf,
@@ -84,7 +96,7 @@ impl Args {
         }
     }
 
-    fn flow(&self) -> PretrainConfig {
+    fn flow(&self) -> Result<PretrainConfig> {
         let mut config = PretrainConfig::new(self.objects.clone(), &self.network, self.out.clone());
         config.steps = self.steps.unwrap_or(config.steps);
         config.batch = self.batch.unwrap_or(config.batch);
@@ -95,7 +107,14 @@ impl Args {
         config.schedule = self.cool_down.map(|cool_down| Course::Plateau { warm_up: 500, cool_down });
         (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
         config.warm_start = self.warm_start();
-        config
+        config.only_shippable = self.only_shippable;
+        config.backgrounds = picture_folders(&self.backgrounds, &self.out)?;
+        if let Some(path) = &self.synth {
+            let text = std::fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+            config.synth = serde_yaml::from_str(&text)
+                .with_context(|| format!("{}: not what `synth` may hold", path.display()))?;
+        }
+        Ok(config)
     }
 
     fn initializer(&self) -> Result<InitializerTraining> {
@@ -114,8 +133,8 @@ impl Args {
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     match (args.stage, &args.preview) {
-        (Stage::Flow, Some(sheet)) => preview(&args.flow(), sheet),
-        (Stage::Flow, None) => flow(&args.flow()),
+        (Stage::Flow, Some(sheet)) => preview(&args.flow()?, sheet),
+        (Stage::Flow, None) => flow(&args.flow()?),
         (Stage::Initializer, Some(sheet)) => written(&scene_sheet(&args.initializer()?, 12)?, sheet),
         (Stage::Initializer, None) => initializer(&args.initializer()?),
     }
@@ -151,7 +170,11 @@ fn preview(config: &PretrainConfig, sheet: &Path) -> Result<ExitCode> {
     config.check()?;
     let size_px = config.network_size_px()? as u32;
     let objects = Arc::new(ObjectPool::load(&config.objects)?);
-    let samples = SampleGenerator::new(objects, config.synth.clone(), config.seed)?.batch(0, 8, size_px)?;
+    let generator = SampleGenerator::new(objects, config.synth.clone(), config.seed)?;
+    let generator = generator.with_backgrounds(&config.backgrounds, config.only_shippable)?;
+    // One pair of each of a dozen scenes.
+    let each = generator.pairs_per_scene();
+    let samples: Vec<_> = generator.batch(0, 12 * each, size_px)?.into_iter().step_by(each).collect();
     written(&preview_sheet(&samples), sheet)
 }
 

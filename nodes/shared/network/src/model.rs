@@ -105,7 +105,7 @@ pub(crate) fn gradients_with<M: Model>(
 ) -> Result<(ByName, Vec<Vec<f32>>)> {
     let found: Vec<_> = M::parameters(network).iter().map(|p| (p, p.gradient(grads))).collect();
     let count = others.len();
-    let mut others = read_together(others.into_iter().chain(found.iter().filter_map(|(_, grad)| grad.clone())))?;
+    let mut others = read_together(others.into_iter().map(Tensor::inner).chain(found.iter().filter_map(|(_, grad)| grad.clone())))?;
     let mut read = others.split_off(count).into_iter();
     let by_name = found.iter().map(|(parameter, grad)| {
         let values = grad.as_ref().and_then(|_| read.next());

@@ -64,6 +64,13 @@ pub struct PretrainConfig {
     /// Threads that make samples beside the training step. They do not change the result.
     #[serde(default = "defaults::data_threads")]
     pub data_threads: usize,
+    /// Folders of photographs for walls, tables and cards of the scenes; none for patterns alone.
+    #[serde(default)]
+    pub backgrounds: Vec<PathBuf>,
+    /// Leaves out meshes and pictures of which the `meta.json` of their folder does not say that they may be shipped; those of
+    /// folders without one are taken as the user's own.
+    #[serde(default)]
+    pub only_shippable: bool,
     /// The synthetic scenes.
     #[serde(default)]
     pub synth: SynthConfig,
@@ -165,6 +172,8 @@ impl PretrainConfig {
             resume: false,
             device: ComputeDevice::default(),
             data_threads: defaults::data_threads(),
+            backgrounds: Vec::new(),
+            only_shippable: false,
             synth: SynthConfig::default(),
         }
     }

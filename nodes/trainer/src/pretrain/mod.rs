@@ -124,13 +124,17 @@ fn train<M: PairNetwork>(
     network: M,
     progress: &mut dyn Progress,
 ) -> Result<PretrainSummary, TrainerError> {
+    let pool = ObjectPool::load(&config.objects)?;
+    let pool = if config.only_shippable { pool.only_shippable()? } else { pool };
     let (pool, held_out) = match config.hold_out {
-        0 => (ObjectPool::load(&config.objects)?, None),
-        every => ObjectPool::load(&config.objects)?.hold_out(every),
+        0 => (pool, None),
+        every => pool.hold_out(every),
     };
     let generator = SampleGenerator::new(Arc::new(pool), config.synth.clone(), config.seed)?;
-    let mut validation = Validation::new(config, held_out, network.size_px(), M::TAKES_GEOMETRY)?;
+    let generator = generator.with_backgrounds(&config.backgrounds, config.only_shippable)?;
+    let mut validation = Validation::new(config, &generator, held_out, network.size_px(), M::TAKES_GEOMETRY)?;
     let mut run = Run::open(config, network, generator.objects())?;
+    write_atomically(&config.out.with_extension("card.json"), generator.card().to_json().as_bytes())?;
     let first = run.state.step();
     validation.resume(config, first)?;
     progress.start(first, config.steps);

@@ -53,13 +53,14 @@ impl Validation {
     /// Renders the pairs, if objects were kept out.
     pub(super) fn new(
         config: &PretrainConfig,
+        training: &SampleGenerator,
         held_out: Option<ObjectPool>,
         size_px: usize,
         geometry: bool,
     ) -> Result<Self, TrainerError> {
         let samples = match held_out {
             Some(pool) => {
-                let generator = SampleGenerator::new(Arc::new(pool), config.synth.clone(), SEED)?;
+                let generator = training.of_other_objects(Arc::new(pool), SEED);
                 generator.batch(0, PAIRS, size_px as u32)?
             }
             None => vec![],

@@ -29,8 +29,76 @@ pub struct SynthConfig {
     /// Cameras whose crops would be more than this often as wide as the network's input are replaced by ones of a lower
     /// resolution (with less blur and noise, as shrinking would leave).
     pub most_oversampled: f64,
+    /// What scenes look like.
+    pub look: LookConfig,
     /// The camera.
     pub camera: CameraConfig,
+}
+
+/// What scenes look like. Shares are parts of the scenes, things or pairs; 0 switches an ingredient off.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct LookConfig {
+    /// Share of the objects to be found that are procedural shapes.
+    pub procedural: f64,
+    /// How many different procedural shapes there are.
+    pub procedural_shapes: usize,
+    /// Share of walls, tables and cards that show a photograph, where some are given.
+    pub photos: f64,
+    /// Most other things around the object.
+    pub most_neighbours: usize,
+    /// Share of the objects that lie on the table as they would come to rest.
+    pub resting: f64,
+    /// Share of the scenes whose lamps cast shadows.
+    pub shadows: f64,
+    /// Share of the scenes that are lit mostly from one side.
+    pub hard_light: f64,
+    /// Strength of ambient occlusion, by the object itself and by what stands above a place.
+    pub ambient_occlusion: f64,
+    /// Share of the things that are glossy.
+    pub gloss: f64,
+    /// Share of the references whose colours are not quite those of the real object: gain, gamma, tint, saturation.
+    pub wrong_colours: f64,
+    /// Share of the references without colours, in one grey.
+    pub plain_reference: f64,
+}
+
+impl Default for LookConfig {
+    fn default() -> Self {
+        Self {
+            procedural: 0.3,
+            procedural_shapes: 2000,
+            photos: 0.75,
+            most_neighbours: 12,
+            resting: 0.5,
+            shadows: 0.75,
+            hard_light: 0.4,
+            ambient_occlusion: 1.0,
+            gloss: 0.6,
+            wrong_colours: 0.5,
+            plain_reference: 0.06,
+        }
+    }
+}
+
+impl LookConfig {
+    fn in_range(&self) -> bool {
+        let shares = [
+            self.procedural,
+            self.photos,
+            self.resting,
+            self.shadows,
+            self.hard_light,
+            self.ambient_occlusion,
+            self.gloss,
+            self.wrong_colours,
+            self.plain_reference,
+        ];
+        let counts = self.most_neighbours <= 40 && self.procedural_shapes <= 1_000_000;
+        counts
+            && shares.iter().all(|v| (0.0..=1.0).contains(v))
+            && (self.procedural == 0.0 || self.procedural_shapes > 0)
+    }
 }
 
 /// The camera that takes the real-like images. Shares are parts of the images, strengths are relative to 1.
@@ -62,7 +130,7 @@ impl Default for CameraConfig {
             motion_blur: 0.2,
             defocus: 0.1,
             noise: 1.0,
-            exposure_stops: 0.6,
+            exposure_stops: 0.75,
             sharpening: 0.4,
             jpeg: 0.7,
             colour: 1.0,
@@ -166,6 +234,7 @@ impl Default for SynthConfig {
             crop_margin: [1.0, 1.25],
             pairs_per_scene: 6,
             most_oversampled: 1.4,
+            look: LookConfig::default(),
             camera: CameraConfig::default(),
         }
     }
@@ -199,6 +268,11 @@ impl SynthConfig {
             ("visible_min", (0.0..=0.9).contains(&self.visible_min), "a share from 0 to 0.9"),
             ("crop_margin", range(self.crop_margin, 1.0, 3.0), "low, high from 1 to 3"),
             ("pairs_per_scene", (1..=32).contains(&self.pairs_per_scene), "1 to 32"),
+            (
+                "look",
+                self.look.in_range(),
+                "shares from 0 to 1, at most 40 neighbours, procedural_shapes from 1 to 1000000",
+            ),
             ("camera", self.camera.in_range(), "shares from 0 to 1 and strengths from 0 to 3"),
             ("most_oversampled", (0.5..=100.0).contains(&self.most_oversampled), "0.5 to 100"),
             (

@@ -4,6 +4,7 @@
 //! and a few windows of the surroundings are lobes `exp(k (r . l - 1))` around the mirrored view direction,
 //! weighted by Schlick's Fresnel term. None of it is calibrated; it only has to vary as much as reality does.
 
+use super::config::LookConfig;
 use super::random::Draw;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
@@ -31,8 +32,18 @@ pub(super) struct Lighting {
     windows: Vec<Lamp>,
     /// Soft edges of shadows of things outside the picture: plane normal, offset (m), width (m), what is left.
     edges: Vec<([f32; 3], f32, f32, f32)>,
-    /// Radius of the first light's shadow blur, in texels of the shadow map; `None` when it casts none.
-    softness_px: Option<f32>,
+    /// Radius of each light's shadow blur, in texels of the shadow map; none for lights that cast none.
+    softness_px: Vec<f32>,
+    /// Strength of ambient occlusion, 0 to 1.
+    occlusion: f32,
+}
+
+/// Shadows of a scene.
+pub(super) struct Shadows {
+    /// Of the first lights.
+    lamps: Vec<ShadowMap>,
+    /// Of the sky: what stands above a place darkens it.
+    sky: Option<ShadowMap>,
 }
 
 /// How a mesh answers to light.
@@ -54,22 +65,22 @@ pub(super) struct Material {
 
 impl Material {
     /// A material for the object to be found: its texture, slightly off in colour, dull to glossy.
-    pub(super) fn of_target(rng: &mut impl Rng) -> Self {
+    pub(super) fn of_target(rng: &mut impl Rng, config: &LookConfig) -> Self {
         let gain = rng.uniform32(0.75, 1.15);
         Self {
             tint: std::array::from_fn(|_| gain * rng.uniform32(0.9, 1.08)),
-            saturation: rng.uniform32(0.75, 1.15),
+            saturation: rng.uniform32(0.8, 1.2),
             contrast: contrast_table(rng.log_uniform32(0.75, 1.3)),
             channels: [0, 1, 2],
-            gloss: if rng.chance(0.4) { 0.0 } else { rng.log_uniform32(0.01, 0.12) },
+            gloss: if rng.chance(config.gloss) { rng.log_uniform32(0.01, 0.12) } else { 0.0 },
             sharpness: rng.log_uniform32(6.0, 250.0),
         }
     }
 
     /// A material for other things: also with its colours exchanged.
-    pub(super) fn of_distractor(rng: &mut impl Rng) -> Self {
+    pub(super) fn of_distractor(rng: &mut impl Rng, config: &LookConfig) -> Self {
         const ORDERS: [[usize; 3]; 4] = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
-        Self { channels: ORDERS[rng.below(ORDERS.len())], ..Self::of_target(rng) }
+        Self { channels: ORDERS[rng.below(ORDERS.len())], ..Self::of_target(rng, config) }
     }
 
     fn albedo(&self, srgb: [f32; 3]) -> [f32; 3] {
@@ -105,18 +116,26 @@ fn contrasted(table: &[f32], value: f32) -> f32 {
 
 impl Lighting {
     /// Draws the light; `up` points away from the table, `centre_m` and `diameter_m` are the object's.
-    pub(super) fn draw(rng: &mut impl Rng, up: Vector3<f32>, centre_m: Vector3<f32>, diameter_m: f32) -> Self {
-        let ambient = rng.uniform32(0.2, 0.95);
+    pub(super) fn draw(
+        rng: &mut impl Rng,
+        config: &LookConfig,
+        up: Vector3<f32>,
+        centre_m: Vector3<f32>,
+        diameter_m: f32,
+    ) -> Self {
+        let hard = rng.chance(config.hard_light);
+        let ambient = if hard { rng.uniform32(0.06, 0.35) } else { rng.uniform32(0.3, 0.95) };
         let sky = warm_or_cool(rng).map(|c| c * ambient);
         let bounce = rng.uniform32(0.2, 0.9);
         let ground = warm_or_cool(rng).map(|c| c * ambient * bounce);
-        let count = 1 + rng.below(3);
+        let count = if hard { 1 + rng.below(2) } else { 1 + rng.below(3) };
         let lamp = |rng: &mut _, strength: f32, sharpness: f32| Lamp {
             direction: above(rng, up),
             colour: warm_or_cool(rng).map(|c| c * strength),
             sharpness,
         };
-        let lamps = (0..count).map(|_| lamp(rng, (1.3 - ambient) / count as f32, 1.0)).collect();
+        let strength = (1.3 - ambient) / (count as f32).sqrt();
+        let lamps = (0..count).map(|i| lamp(rng, strength / (1 + i) as f32, 1.0)).collect();
         let windows = (0..rng.below(4))
             .map(|_| {
                 let (strength, sharpness) = (rng.log_uniform32(0.3, 3.0), rng.log_uniform32(0.03, 0.5));
@@ -124,20 +143,25 @@ impl Lighting {
             })
             .collect();
         let edges = (0..rng.below(3)).map(|_| shadow_edge(rng, centre_m, diameter_m)).collect();
-        let softness_px = rng.chance(0.65).then(|| rng.log_uniform32(0.7, 14.0));
-        Self { up, sky, ground, lamps, windows, edges, softness_px }
+        let casting = if rng.chance(config.shadows) { count.min(2) } else { 0 };
+        let softness_px = (0..casting).map(|_| rng.log_uniform32(0.7, 14.0)).collect();
+        let occlusion = config.ambient_occlusion as f32 * rng.uniform32(0.5, 1.0);
+        Self { up, sky, ground, lamps, windows, edges, softness_px, occlusion }
     }
 
-    /// The depth of the scene as the first light sees it, when it casts shadows.
-    pub(super) fn shadow_map(&self, items: &[Item<'_>], centre_m: Vector3<f32>, diameter_m: f32) -> Option<ShadowMap> {
-        let softness_px = self.softness_px?;
-        Some(ShadowMap::new(items, centre_m, diameter_m, self.lamps.first()?.direction, softness_px))
+    /// The depth of the scene as the first lights and the sky see it.
+    pub(super) fn shadows(&self, items: &[Item<'_>], centre_m: Vector3<f32>, diameter_m: f32) -> Shadows {
+        let map =
+            |direction: Vector3<f32>, softness: f32| ShadowMap::new(items, centre_m, diameter_m, direction, softness);
+        let lamps = self.lamps.iter().zip(&self.softness_px).map(|(lamp, softness)| map(lamp.direction, *softness));
+        let sky = (self.occlusion > 0.0).then(|| map(self.up, SKY_SOFTNESS_PX));
+        Shadows { lamps: lamps.collect(), sky }
     }
 
     /// Linear RGB that leaves a surface towards the camera.
-    pub(super) fn shade(&self, surface: &Surface, material: &Material, shadow: Option<&ShadowMap>) -> [f32; 3] {
+    pub(super) fn shade(&self, surface: &Surface, material: &Material, shadows: &Shadows) -> [f32; 3] {
         let (normal, view) = (Vector3::from(surface.normal_in_camera), Vector3::from(surface.to_camera));
-        let lit = self.irradiance(normal, surface.point_in_camera.into(), shadow);
+        let lit = self.irradiance(surface, normal, shadows);
         let albedo = material.albedo(surface.albedo);
         let mut out: [f32; 3] = std::array::from_fn(|k| albedo[k] * lit[k]);
         if material.gloss > 0.0 {
@@ -157,14 +181,20 @@ impl Lighting {
     }
 
     /// Light that falls on a surface, linear RGB.
-    fn irradiance(&self, normal: Vector3<f32>, point_m: Vector3<f32>, shadow: Option<&ShadowMap>) -> [f32; 3] {
+    fn irradiance(&self, surface: &Surface, normal: Vector3<f32>, shadows: &Shadows) -> [f32; 3] {
+        let point_m = Vector3::from(surface.point_in_camera);
         let upward = 0.5 + 0.5 * normal.dot(&self.up);
-        let mut sum: [f32; 3] = std::array::from_fn(|k| self.ground[k] + upward * (self.sky[k] - self.ground[k]));
+        let lit = |map: &ShadowMap| map.lit(&(point_m + normal * map.bias_m));
+        let open = 1.0 + self.occlusion * (surface.openness - 1.0);
+        let above = shadows.sky.as_ref().map_or(1.0, |map| 1.0 + 0.75 * self.occlusion * (lit(map) - 1.0));
+        let (sky, ground) = (open * above * upward, open * (1.0 - upward));
+        let mut sum: [f32; 3] = std::array::from_fn(|k| sky * self.sky[k] + ground * self.ground[k]);
         for (index, lamp) in self.lamps.iter().enumerate() {
-            let facing = normal.dot(&lamp.direction).max(0.0);
-            let shadow = shadow.filter(|_| index == 0 && facing > 0.0);
-            let visible = shadow.map_or(1.0, |map| map.lit(&(point_m + normal * map.bias_m)));
-            (0..3).for_each(|k| sum[k] += facing * visible * lamp.colour[k]);
+            let facing = normal.dot(&lamp.direction);
+            if facing > 0.0 {
+                let light = facing * shadows.lamps.get(index).map_or(1.0, lit);
+                (0..3).for_each(|k| sum[k] += light * lamp.colour[k]);
+            }
         }
         let left = self.edges.iter().fold(1.0, |left, (n, offset_m, width_m, rest)| {
             let side = ((Vector3::from(*n).dot(&point_m) - offset_m) / width_m).clamp(-1.0, 1.0);
@@ -207,6 +237,8 @@ pub(super) struct ShadowMap {
 const TAPS: [[f32; 2]; 8] =
     [[0.1, -0.2], [-0.45, 0.25], [0.5, 0.4], [-0.2, -0.65], [0.75, -0.35], [-0.85, -0.25], [0.1, 0.8], [-0.4, 0.9]];
 const SHADOW_SIZE: usize = 128;
+/// Blur of the sky's shadow: 0.2 diameters.
+const SKY_SOFTNESS_PX: f32 = 11.0;
 
 impl ShadowMap {
     /// The light stands 20 diameters away and sees a circle of 2.4 diameters around the object.
@@ -280,17 +312,20 @@ mod tests {
         let up = Vector3::new(0.0, -1.0, 0.0);
         for index in 0..100 {
             let mut rng = stream(2, index);
-            let lighting = Lighting::draw(&mut rng, up, Vector3::new(0.0, 0.0, 1.0), 0.2);
+            let look = LookConfig::default();
+            let lighting = Lighting::draw(&mut rng, &look, up, Vector3::new(0.0, 0.0, 1.0), 0.2);
             assert!(lighting.lamps.iter().all(|lamp| lamp.direction.dot(&up) >= -1e-5));
             let surface = Surface {
                 item: 0,
                 albedo: [0.5; 3],
+                openness: 1.0,
                 point_in_camera: [0.0, 0.0, 0.9],
                 point_in_object: [0.0; 3],
                 normal_in_camera: [0.0, 0.0, -1.0],
                 to_camera: [0.0, 0.0, -1.0],
             };
-            let out = lighting.shade(&surface, &Material::of_target(&mut rng), None);
+            let out =
+                lighting.shade(&surface, &Material::of_target(&mut rng, &look), &Shadows { lamps: vec![], sky: None });
             assert!(out.iter().all(|c| c.is_finite() && *c > 0.0), "{out:?}");
         }
     }

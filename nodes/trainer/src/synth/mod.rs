@@ -5,16 +5,21 @@
 //! camera's resolution (a far object is a *magnified* crop), in linear light, with other things before and behind
 //! the object, shadows, lens, noise and JPEG; only then it is resampled by the very function that crops real frames.
 
+mod card;
 mod config;
 mod label;
 mod light;
 mod pattern;
+mod photo;
 mod picture;
 mod pool;
 mod pose;
 mod random;
+mod recolour;
+mod rest;
 mod scene;
 mod sensor;
+mod shapes;
 mod things;
 mod whole;
 mod window;
@@ -22,13 +27,15 @@ mod window;
 #[cfg(test)]
 pub(crate) mod tests;
 
-pub use config::{CameraConfig, JitterConfig, MAX_JITTER_DEG, Spread, SynthConfig};
+pub use card::{Card, Origin, Ship};
+pub use config::{CameraConfig, JitterConfig, LookConfig, MAX_JITTER_DEG, Spread, SynthConfig};
 pub use label::SyntheticFlow;
 pub use pool::ObjectPool;
 pub use whole::{SceneConfig, SceneGenerator, SceneInstance, SceneSample};
 
 use crate::TrainerError;
 use label::Geometry;
+use photo::PhotoBank;
 use picture::{Picture, samples_alone};
 use pose::{Placement, Stand};
 use pseudoflow_geometry::{Crop, Intrinsics, Pose};
@@ -36,17 +43,20 @@ use pseudoflow_imaging::raster::{
     Background, Headlight, Item, Rendering, Scene, Scratch, normals_from_depth, render_scene,
 };
 use pseudoflow_imaging::{BACKGROUND_GREY, Object, RgbImage, resample};
-use random::{Draw, stream};
+use random::stream;
 use rayon::prelude::*;
-use scene::SyntheticScene;
+use recolour::Recolour;
+use scene::{Stock, SyntheticScene};
 use sensor::{Sensor, mean_light};
+use shapes::ShapeBank;
+use std::path::PathBuf;
 use std::sync::Arc;
 use window::Window;
 
 /// One synthetic pair.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
-    /// The object's place in the pool.
+    /// The object's place: that in the pool, or after it the number of the procedural shape ([`SampleGenerator::object`]).
     pub object: usize,
     /// The reference rendered at the wrong pose, `S x S`.
     pub reference: RgbImage,
@@ -71,6 +81,8 @@ pub struct Sample {
 #[derive(Debug, Clone)]
 pub struct SampleGenerator {
     objects: Arc<ObjectPool>,
+    shapes: Arc<ShapeBank>,
+    photos: Arc<PhotoBank>,
     config: Arc<SynthConfig>,
     seed: u64,
 }
@@ -86,7 +98,44 @@ impl SampleGenerator {
     /// When the configuration is out of range.
     pub fn new(objects: Arc<ObjectPool>, config: SynthConfig, seed: u64) -> Result<Self, TrainerError> {
         config.check()?;
-        Ok(Self { objects, config: Arc::new(config), seed })
+        let shapes = Arc::new(ShapeBank::new(seed, config.look.procedural_shapes));
+        Ok(Self { objects, shapes, photos: Arc::default(), config: Arc::new(config), seed })
+    }
+
+    /// Takes photographs from folders (and the folders in them) for walls, tables and cards; `only_shippable`: without those
+    /// of which `meta.json` says that they may not be shipped, or nothing clear.
+    ///
+    /// # Errors
+    /// When a folder cannot be read or holds no usable picture.
+    pub fn with_backgrounds(self, folders: &[PathBuf], only_shippable: bool) -> Result<Self, TrainerError> {
+        let photos = if folders.is_empty() { PhotoBank::default() } else { PhotoBank::load(folders, only_shippable)? };
+        Ok(Self { photos: Arc::new(photos), ..self })
+    }
+
+    /// What the scenes are made from.
+    #[must_use]
+    pub fn card(&self) -> Card {
+        let shapes = if self.config.look.procedural > 0.0 { self.shapes.len() } else { 0 };
+        Card::new(self.objects.origins().to_vec(), self.photos.origins().to_vec(), shapes)
+    }
+
+    /// Scenes of the same kind with other objects and another seed.
+    #[must_use]
+    pub fn of_other_objects(&self, objects: Arc<ObjectPool>, seed: u64) -> Self {
+        let shapes = Arc::new(ShapeBank::new(seed, self.config.look.procedural_shapes));
+        Self { objects, shapes, seed, ..self.clone() }
+    }
+
+    /// The object of a sample.
+    ///
+    /// # Errors
+    /// When a procedural shape cannot be made.
+    pub fn object(&self, place: usize) -> Result<Arc<Object>, TrainerError> {
+        Ok(Arc::clone(self.stock().at(place)?))
+    }
+
+    fn stock(&self) -> Stock<'_> {
+        Stock { objects: &self.objects, shapes: &self.shapes, photos: &self.photos, look: &self.config.look }
     }
 
     /// The objects.
@@ -136,9 +185,8 @@ impl SampleGenerator {
 
     fn attempt(&self, index: u64, attempt: u64, size_px: u32) -> Result<Option<Vec<Sample>>, TrainerError> {
         let mut rng = stream(self.seed, index * ATTEMPTS + attempt);
-        let place = rng.below(self.objects.len());
-        let object = self.objects.at(place);
-        let config = &*self.config;
+        let (config, stock) = (&*self.config, self.stock());
+        let (place, object) = stock.any(&mut rng, config.look.procedural)?;
         let stand = Stand::draw(&mut rng, object, config, size_px);
         let placements: Vec<Placement> = (0..config.pairs_per_scene)
             .map(|_| Placement::draw(&mut rng, object, &stand, &config.jitter, config, size_px))
@@ -152,7 +200,7 @@ impl SampleGenerator {
         );
         let crops = placements.iter().map(|p| &p.crop).chain(&at_truth);
         let window = Window::of_crops(crops, &stand.intrinsics, stand.image_px);
-        let mut scene = SyntheticScene::draw(&mut rng, &self.objects, object, &stand, config)?;
+        let mut scene = SyntheticScene::draw(&mut rng, &stock, object, &stand, config)?;
         let mut picture = scene.render(&window);
         let alone = samples_alone(scene.target(), &window);
         if (picture.visible.of_object() as f64) < config.visible_min * alone as f64 {
@@ -193,6 +241,20 @@ impl View<'_> {
         }
         if (label.visible_px() as f64) < least {
             return None;
+        }
+        if let Some(change) = Recolour::draw(rng, &config.look) {
+            let k = placement.crop.intrinsics(&placement.intrinsics);
+            let headlight = Headlight::default();
+            let shade = |i: usize| {
+                let ray = [
+                    (i as f32 % size_px as f32 - k.cx as f32) / k.fx as f32,
+                    (i as f32 / size_px as f32 - k.cy as f32) / k.fy as f32,
+                ];
+                let n = label.normals[i];
+                let facing = -(n[0] * ray[0] + n[1] * ray[1] + n[2]) / (1.0 + ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
+                headlight.ambient + headlight.headlight * facing.clamp(0.0, 1.0)
+            };
+            change.apply(&mut reference.rgb, &reference.mask, shade);
         }
         let near = Window::of_crop(&placement.crop, &placement.intrinsics, self.stand.image_px).within(self.window);
         let light = near.part_of(self.window, &self.picture.light);

@@ -34,8 +34,8 @@ enum Kind {
 impl Pattern {
     /// Draws a surface; `busy` excludes the plain ones.
     pub(super) fn draw(rng: &mut impl Rng, busy: bool) -> Self {
-        let (saturation, base) = (rng.uniform32(0.1, 1.0), rng.uniform32(0.1, 0.95));
-        let spread = rng.uniform32(0.05, 0.6);
+        let (saturation, base) = (rng.uniform32(0.1, 1.0), rng.uniform32(0.05, 0.95));
+        let spread = rng.uniform32(0.05, 0.9);
         let palette = std::array::from_fn(|_| {
             let value = (base + spread * rng.uniform32(-1.0, 1.0)).clamp(0.02, 1.0);
             rng.colour(saturation, (value * 0.9, value))

@@ -2,6 +2,7 @@
 
 use super::config::{JitterConfig, MAX_JITTER_DEG, Spread, SynthConfig};
 use super::random::Draw;
+use super::rest::draw_down;
 use nalgebra::{Point2, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Crop, Intrinsics, Jitter, Pose};
 use pseudoflow_imaging::Object;
@@ -18,6 +19,10 @@ pub(super) struct Stand {
     pub(super) scale: f64,
     /// Where the object is.
     pub(super) truth_camera_from_object: Pose,
+    /// Away from the table, camera axes.
+    pub(super) up: Vector3<f64>,
+    /// Whether the object lies on a table as it would come to rest.
+    pub(super) resting: bool,
 }
 
 /// The geometry of one pair.
@@ -37,8 +42,14 @@ impl Stand {
     /// Draws a camera and the object's true pose; `size_px` is the side of the network's input.
     pub(super) fn draw(rng: &mut impl Rng, object: &Object, config: &SynthConfig, size_px: u32) -> Self {
         let intrinsics = draw_camera(rng, config);
-        let truth = draw_truth(rng, object, &intrinsics, config);
-        let stand = Self { intrinsics, image_px: config.image_px, scale: 1.0, truth_camera_from_object: truth };
+        let (elevation, roll) = (rng.uniform(8.0, 85.0).to_radians(), rng.uniform(-20.0, 20.0).to_radians());
+        let upright = Vector3::new(0.0, -elevation.cos(), -elevation.sin());
+        let up = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll) * upright;
+        let resting = rng.chance(config.look.resting);
+        let rotation = if resting { lying(rng, object, &up) } else { rng.rotation() };
+        let truth = draw_truth(rng, object, &intrinsics, rotation, config);
+        let (image_px, scale) = (config.image_px, 1.0);
+        let stand = Self { intrinsics, image_px, scale, truth_camera_from_object: truth, up, resting };
         let Some(crop) = Crop::around(&object.hull_m, &truth, &intrinsics, 1.1, size_px) else { return stand };
         stand.scaled((config.most_oversampled * f64::from(size_px) / crop.side).clamp(0.1, 1.0))
     }
@@ -126,10 +137,23 @@ fn draw_camera(rng: &mut impl Rng, config: &SynthConfig) -> Intrinsics {
     }
 }
 
-/// Any orientation; the distance by the projected diameter; the centre anywhere that keeps the object in the
+/// An orientation in which the object lies on a table whose normal is `up`.
+fn lying(rng: &mut impl Rng, object: &Object, up: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let down = draw_down(rng, object);
+    let half_turn = || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let stand = UnitQuaternion::rotation_between(&-down, up).unwrap_or_else(half_turn);
+    UnitQuaternion::from_scaled_axis(up * rng.uniform(0.0, std::f64::consts::TAU)) * stand
+}
+
+/// The distance by the projected diameter; the centre anywhere that keeps the object in the
 /// image, or (`truncated`) anywhere in the image.
-fn draw_truth(rng: &mut impl Rng, object: &Object, k: &Intrinsics, config: &SynthConfig) -> Pose {
-    let rotation = rng.rotation();
+fn draw_truth(
+    rng: &mut impl Rng,
+    object: &Object,
+    k: &Intrinsics,
+    rotation: UnitQuaternion<f64>,
+    config: &SynthConfig,
+) -> Pose {
     let projected_px = rng.log_uniform(config.projected_px[0], config.projected_px[1]);
     let z_m = (k.fx * object.diameter_m / projected_px).max(object.diameter_m);
     let border = if rng.chance(config.truncated) { 0.0 } else { 0.5 };

@@ -1,11 +1,13 @@
 //! Synthetic images of whole scenes, for the initializer (method.md, pipeline step 1).
 
-use super::config::CameraConfig;
+use super::config::{CameraConfig, LookConfig};
+use super::photo::PhotoBank;
 use super::picture::Picture;
 use super::pool::ObjectPool;
 use super::random::{Draw, stream};
-use super::scene::SyntheticScene;
+use super::scene::{Stock, SyntheticScene};
 use super::sensor::{Sensor, mean_light};
+use super::shapes::ShapeBank;
 use super::window::{SAMPLES, Window};
 use crate::TrainerError;
 use pseudoflow_geometry::{Intrinsics, Pose};
@@ -120,7 +122,10 @@ impl SceneGenerator {
         let centre =
             |size: u32, rng: &mut _| (f64::from(size) - 1.0) / 2.0 + Draw::uniform(rng, -0.02, 0.02) * f64::from(size);
         let intrinsics = Intrinsics { fx: focal, fy: focal, cx: centre(width, &mut rng), cy: centre(height, &mut rng) };
-        let (scene, placed) = SyntheticScene::draw_whole(&mut rng, &self.objects, &intrinsics, &self.config)?;
+        let (photos, look) = (PhotoBank::default(), LookConfig::default());
+        let shapes = ShapeBank::new(self.seed, 0);
+        let stock = Stock { objects: &self.objects, shapes: &shapes, photos: &photos, look: &look };
+        let (scene, placed) = SyntheticScene::draw_whole(&mut rng, &stock, &intrinsics, &self.config)?;
         let window = Window::whole(&intrinsics, self.config.image_px);
         let picture = scene.render(&window);
         // Sensors are drawn for images of 640 pixels.

@@ -67,6 +67,10 @@ pub(super) fn surface(mesh: &Mesh, corners: [u32; 3], hit: &Hit, item: usize, ro
     Surface {
         item,
         albedo: albedo(mesh, corners, hit),
+        openness: match mesh.openness.is_empty() {
+            true => 1.0,
+            false => blend(&hit.weights, corners.map(|c| [f32::from(mesh.openness[c]) / 255.0]))[0],
+        },
         point_in_camera: hit.point,
         point_in_object: blend(&hit.weights, corners.map(|c| mesh.vertices_m[c])),
         normal_in_camera,

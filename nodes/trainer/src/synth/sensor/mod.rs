@@ -59,19 +59,19 @@ impl Sensor {
         let around_one = |rng: &mut _, spread: f32| (varied * Draw::uniform32(rng, -spread, spread)).exp();
         let stops = config.exposure_stops as f32 * rng.normal32().clamp(-2.2, 2.2);
         Self {
-            exposure: 0.2 * stops.exp2(),
+            exposure: 0.15 * stops.exp2(),
             blur_px,
             defocus_px,
             motion_px: [motion * angle.cos(), motion * angle.sin()],
             mosaic: rng.chance(config.bayer).then(|| [rng.below(2), rng.below(2)]),
             white_balance: [1.0 + cast, 1.0 + varied * rng.uniform32(-0.05, 0.05), 1.0 - cast],
-            saturation: 0.9 * around_one(rng, 0.4),
+            saturation: 1.2 * around_one(rng, 0.4),
             read_noise: 0.3 * noise,
             shot_noise: noise * noise,
             smooth_noise: rng.random(),
             gamma: around_one(rng, 0.2),
-            contrast: around_one(rng, 0.28),
-            lift: if rng.chance(0.5) { varied * rng.uniform32(0.0, 0.12) } else { 0.0 },
+            contrast: 1.1 * around_one(rng, 0.25),
+            lift: if rng.chance(0.3) { varied * rng.uniform32(0.0, 0.1) } else { 0.0 },
             shoulder: if rng.chance(0.5) { rng.random() } else { 0.0 },
             sharpen: if rng.chance(config.sharpening) { rng.uniform32(0.2, 1.4) } else { 0.0 },
             sharpen_px: rng.uniform32(0.6, 1.3),
