@@ -254,7 +254,7 @@ impl TrainState {
     /// The batch has wrong lengths or values, or loss or gradient are not finite: the weights then stay as they were.
     pub fn train_step(&mut self, batch: &FlowBatch<'_>) -> Result<StepStats> {
         let device = self.device.clone().autodiff();
-        let data = batch.to_device(self.network.size_px, &device)?;
+        let data = guarded_on(&device, || batch.to_device(self.network.size_px, &device))?;
         let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
         let (stats, measured) = self.step_measuring(|raft| {
             let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
@@ -279,7 +279,7 @@ impl TrainState {
         extra: impl FnOnce(&[f32]) -> ExtraLoss,
     ) -> Result<StepStats> {
         let device = self.device.clone().autodiff();
-        let data = batch.to_device(self.network.size_px, &device)?;
+        let data = guarded_on(&device, || batch.to_device(self.network.size_px, &device))?;
         let (iterations, gamma, size_px) = (self.network.iterations_train, self.config.gamma, self.network.size_px);
         let mut extra_value = f32::NAN;
         let (stats, measured) = self.step_measuring(|raft| {

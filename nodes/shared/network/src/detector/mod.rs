@@ -267,11 +267,11 @@ impl TrainState<DetectorConfig> {
             return Err(NetworkError::Batch(text));
         }
         let device = self.device().autodiff();
-        let images = Tensor::from_data(TensorData::new(images.to_vec(), [n, 3, height, width]), &device);
         let (grid, objects) = (Grid::new(width, height), self.network.objects);
         let mut found = None;
         let mut stats = self.step_with(|network| {
-            let features = network.features(images);
+            let images = TensorData::new(images.to_vec(), [n, 3, height, width]);
+            let features = network.features(Tensor::from_data(images, &device));
             let outputs = network.heads(match trunk {
                 Trunk::Trained => features,
                 Trunk::Frozen => features.detach(),

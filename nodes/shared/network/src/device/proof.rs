@@ -6,8 +6,10 @@
 use super::*;
 use crate::detector::tests as detector;
 use crate::model::{Model, gradients_with};
+use crate::refiner::tests as refiner;
+use crate::refiner::train::refiner_loss;
 use crate::train::tests::{batch, data, tiny};
-use crate::{Grid, LossWeights, NetworkConfig, Raft, TrainConfig, TrainState, Trunk, Weights, sequence_loss};
+use crate::{Grid, LossWeights, NetworkConfig, Raft, Refiner, TrainConfig, TrainState, Trunk, Weights, sequence_loss};
 use burn::tensor::Tensor;
 
 /// Flow, px: largest difference.
@@ -52,14 +54,34 @@ fn flow_of_both_architectures_is_that_of_the_processor() {
     }
 }
 
-fn gradient_on(device: &Device, config: &NetworkConfig, weights: &Weights) -> Vec<(String, Vec<f32>)> {
+#[test]
+fn a_refiner_says_what_it_does_on_the_processor() {
+    let (config, pairs) = (refiner::tiny(), refiner::Pairs::new(1, 64));
+    let weights = Weights::random(&config, 3);
+    let on = |device: &Device| {
+        let refiner = Refiner::new(&weights, &config, device).unwrap();
+        refiner.infer_slices(&pairs.reference, &pairs.real, 1, 64, 2, device).unwrap()
+    };
+    let (here, there) = (on(&Device::flex()), on(&adapter()));
+    let worst = here.iter().zip(&there).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    println!("refiner: differs by up to {worst}");
+    assert!(worst < FLOW_PX && here.iter().any(|v| v.abs() > 100.0 * FLOW_PX), "{worst}");
+}
+
+/// Gradients by name, in the network's order.
+type Gradients = Vec<(String, Vec<f32>)>;
+
+fn gradient_on(device: &Device, config: &NetworkConfig, weights: &Weights) -> Gradients {
     let device = device.clone().autodiff();
     let data = data(2, 5);
     let raft = Raft::new(weights, config, &device).unwrap();
     let batch = batch(&data, 2).to_device(64, &device).unwrap();
     let flows = raft.forward(batch.reference.clone(), batch.real.clone(), 2);
-    let grads = sequence_loss(&flows, &batch, 0.8).backward();
-    let (mut by_name, _) = gradients_with::<NetworkConfig>(&raft, &grads, vec![]).unwrap();
+    in_order(config, &raft, sequence_loss(&flows, &batch, 0.8))
+}
+
+fn in_order<M: Model>(config: &M, network: &M::Network, loss: Tensor<1>) -> Gradients {
+    let (mut by_name, _) = gradients_with::<M>(network, &loss.backward(), vec![]).unwrap();
     let names = config.layout().into_iter().map(|spec| spec.name);
     names.filter_map(|name| by_name.remove(&name).map(|grad| (name, grad))).collect()
 }
@@ -68,15 +90,34 @@ fn gradient_on(device: &Device, config: &NetworkConfig, weights: &Weights) -> Ve
 fn gradients_are_those_of_the_processor() {
     let config = tiny();
     let weights = Weights::random(&config, 3);
-    let here = gradient_on(&Device::flex(), &config, &weights);
-    let there = gradient_on(&adapter(), &config, &weights);
+    assert_same_gradients(
+        &gradient_on(&Device::flex(), &config, &weights),
+        &gradient_on(&adapter(), &config, &weights),
+    );
+}
+
+#[test]
+fn gradients_of_a_refiner_are_those_of_the_processor() {
+    let (config, pairs) = (refiner::tiny(), refiner::Pairs::new(2, 64));
+    let weights = Weights::random(&config, 3);
+    let on = |device: &Device| {
+        let device = device.clone().autodiff();
+        let refiner = Refiner::new(&weights, &config, &device).unwrap();
+        let batch = pairs.batch(2).to_device(64, &device).unwrap();
+        let refinement = refiner.forward(batch.reference.clone(), batch.real.clone(), 2);
+        in_order(&config, &refiner, refiner_loss(&refinement, &batch, 0.8))
+    };
+    assert_same_gradients(&on(&Device::flex()), &on(&adapter()));
+}
+
+fn assert_same_gradients(here: &Gradients, there: &Gradients) {
     assert_eq!(here.len(), there.len());
     let flat = |all: &[(String, Vec<f32>)]| all.iter().flat_map(|(_, g)| g.iter().copied()).collect::<Vec<f32>>();
-    let (a, b) = (flat(&here), flat(&there));
+    let (a, b) = (flat(here), flat(there));
     let (apart, norm) = (distance(&a, &b), distance(&a, &vec![0.0; a.len()]));
     println!("gradient of norm {norm} differs by {apart}");
     assert!(norm > 0.1 && apart < GRADIENT * norm, "{apart} of {norm}");
-    for ((name, a), (_, b)) in here.iter().zip(&there) {
+    for ((name, a), (_, b)) in here.iter().zip(there) {
         let own = distance(a, &vec![0.0; a.len()]);
         // A bias before an instance norm has no gradient but rounding.
         assert!(distance(a, b) < 0.01 * own + 1e-5 * norm, "{name}: {} of {own}", distance(a, b));

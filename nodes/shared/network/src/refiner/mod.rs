@@ -14,8 +14,8 @@ mod encoder;
 mod geometry;
 mod layout;
 #[cfg(test)]
-mod tests;
-mod train;
+pub(crate) mod tests;
+pub(crate) mod train;
 mod update;
 
 pub use batch::{DeviceRefinerBatch, RefinerBatch};
@@ -23,7 +23,8 @@ pub use geometry::reference_geometry;
 pub(crate) use layout::{LEVELS, RADIUS, WIDTHS};
 
 use crate::error::{NetworkError, Result, io_error};
-use crate::model::{Model, Parameter, Source, TensorSpec};
+use crate::guard::guarded_on;
+use crate::model::{Model, Parameter, Source, TensorSpec, read_together};
 use crate::ops;
 use crate::raft::{Conv, Pyramid};
 use crate::weights::Weights;
@@ -154,7 +155,7 @@ impl Refiner {
     /// [`Self::forward`] on plain slices of `n` pairs of side `size_px`; returns the prediction's values (n, 5, S, S).
     ///
     /// # Errors
-    /// The size is not allowed or a slice has another length.
+    /// The size is not allowed, a slice has another length, or a GPU failed.
     pub fn infer_slices(
         &self,
         reference: &[f32],
@@ -172,9 +173,11 @@ impl Refiner {
             }
             Ok(Tensor::<4>::from_data(TensorData::new(data.to_vec(), shape), device))
         };
-        let [reference, real] = [tensor("reference", reference, REFERENCE_CHANNELS)?, tensor("real", real, 3)?];
-        let prediction = self.forward(reference, real, iterations).prediction;
-        Ok(prediction.into_data().try_into_vec::<f32>().expect("the network works in f32"))
+        guarded_on(device, || {
+            let [reference, real] = [tensor("reference", reference, REFERENCE_CHANNELS)?, tensor("real", real, 3)?];
+            let prediction = self.forward(reference, real, iterations).prediction;
+            Ok(read_together([prediction])?.remove(0))
+        })
     }
 }
 

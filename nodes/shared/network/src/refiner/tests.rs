@@ -2,20 +2,20 @@ use super::*;
 use crate::loss::values;
 use crate::train::{TrainConfig, TrainState};
 
-fn tiny() -> RefinerConfig {
+pub(crate) fn tiny() -> RefinerConfig {
     RefinerConfig { name: "tiny".into(), size_px: 64, iterations_train: 2, iterations_infer: 2 }
 }
 
-struct Pairs {
-    reference: Vec<f32>,
-    real: Vec<f32>,
+pub(crate) struct Pairs {
+    pub(crate) reference: Vec<f32>,
+    pub(crate) real: Vec<f32>,
     flow: Vec<f32>,
     visible: Vec<f32>,
 }
 
 impl Pairs {
     /// A patterned square, shifted by whole pixels; its right third is covered in the photograph.
-    fn new(n: usize, size: usize) -> Self {
+    pub(crate) fn new(n: usize, size: usize) -> Self {
         let area = size * size;
         let mut pairs = Self { reference: vec![], real: vec![], flow: vec![], visible: vec![] };
         for image in 0..n {
@@ -48,7 +48,7 @@ impl Pairs {
         pairs
     }
 
-    fn batch(&self, n: usize) -> RefinerBatch<'_> {
+    pub(crate) fn batch(&self, n: usize) -> RefinerBatch<'_> {
         let Self { reference, real, flow, visible } = self;
         RefinerBatch { reference, real, flow, visible, n }
     }

@@ -2,6 +2,7 @@
 
 use super::{Refinement, RefinerBatch, RefinerConfig};
 use crate::error::Result;
+use crate::guard::guarded_on;
 use crate::loss::values;
 use crate::model::Model;
 use crate::ops;
@@ -33,7 +34,8 @@ impl TrainState<RefinerConfig> {
     /// # Errors
     /// The batch has wrong lengths or values, or loss or gradient are not finite: the weights then stay as they were.
     pub fn train_step(&mut self, batch: &RefinerBatch<'_>) -> Result<StepStats> {
-        let data = batch.to_device(self.network.size_px, &self.device().autodiff())?;
+        let device = self.device().autodiff();
+        let data = guarded_on(&device, || batch.to_device(self.network.size_px, &device))?;
         let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
         let (stats, measured) = self.step_measuring(|refiner| {
             let refinement = refiner.forward(data.reference.clone(), data.real.clone(), iterations);
