@@ -96,6 +96,24 @@ pub fn render_scene<S: Shader>(scene: &Scene<'_>, shader: &S, scratch: &mut Scra
     }
 }
 
+/// Draws only where a scene's objects are and how far: `mask` and `depth_m` (metres along the optical axis, 0 where nothing is)
+/// take the scene's size. The masks are those of [`render_scene`]; the depth is that of the screen's planes, which agrees with it
+/// to single precision.
+pub fn render_depth(scene: &Scene<'_>, scratch: &mut Scratch, mask: &mut Vec<u8>, depth_m: &mut Vec<f32>) {
+    let pixels = scene.width as usize * scene.height as usize;
+    mask.clear();
+    mask.resize(pixels, 0);
+    scratch.inverse_depth.clear();
+    scratch.inverse_depth.resize(pixels, 0.0);
+    scratch.triangle.resize(pixels, 0);
+    for (index, item) in scene.items.iter().take(MAX_ITEMS).enumerate() {
+        transform(item, &scene.intrinsics, &mut scratch.vertices);
+        cover(item.mesh, scene, scratch, mask, (index + 1) as u8);
+    }
+    depth_m.clear();
+    depth_m.extend(scratch.inverse_depth.iter().map(|i| if *i > 0.0 { 1.0 / i } else { 0.0 }));
+}
+
 fn fill_background(scene: &Scene<'_>, rgb: &mut RgbImage) {
     match scene.background {
         Background::Colour(colour) => rgb.as_chunks_mut::<3>().0.fill(colour),

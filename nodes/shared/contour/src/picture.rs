@@ -1,0 +1,92 @@
+//! The part of an image around an object, brought to one size of the object, as colour bins.
+
+use crate::ContourError;
+use crate::histogram::{NOWHERE, bin_of};
+use pseudoflow_geometry::{Crop, Intrinsics, Pose};
+use pseudoflow_imaging::{RgbImage, resample};
+
+/// A picture whose object is of a known size, whatever its size in the image was.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Picture {
+    /// Colour bin of each pixel; [`NOWHERE`] outside the image.
+    pub(crate) bins: Vec<u16>,
+    /// Colours, one plane a channel, 0..255.
+    pub(crate) channels: [Vec<f32>; 3],
+    pub(crate) size_px: usize,
+    pub(crate) focal: [f32; 2],
+    pub(crate) centre: [f32; 2],
+    /// Pixels of the image for one pixel of the picture, at most one: neighbouring pixels of an enlarged picture tell the same.
+    pub(crate) independence: f32,
+}
+
+/// An image as the camera gave it.
+#[derive(Debug, Clone, Copy)]
+pub struct Image<'a> {
+    /// The pixels.
+    pub rgb: &'a RgbImage,
+    /// Its camera.
+    pub intrinsics: Intrinsics,
+}
+
+impl Picture {
+    /// The picture around a sphere of `radius_m` around `centre_in_camera`, whose diameter becomes `object_px`, with `margin`
+    /// times that around it in all. `None` when the object is behind the camera or not in the image.
+    pub(crate) fn fill(
+        &mut self,
+        image: &Image<'_>,
+        camera_from_object: &Pose,
+        centre_m: &nalgebra::Point3<f64>,
+        radius_m: f64,
+        object_px: f64,
+        margin: f64,
+    ) -> Option<()> {
+        let centre = camera_from_object * centre_m;
+        let at = image.intrinsics.project(&centre)?;
+        let diameter_px = 2.0 * radius_m * image.intrinsics.fx.max(image.intrinsics.fy) / centre.z;
+        let side = diameter_px * margin;
+        let size_px = (object_px * margin).round();
+        let crop = Crop { x0: at.x - side / 2.0, y0: at.y - side / 2.0, side, size_px: size_px as u32 };
+        let (width, height) = (f64::from(image.rgb.width()), f64::from(image.rgb.height()));
+        let within = |low: f64, length: f64| low < length - 0.5 && low + side > -0.5;
+        if !(side.is_finite() && side >= 4.0 && within(crop.x0, width) && within(crop.y0, height)) {
+            return None;
+        }
+        let resampled = resample(image.rgb, &crop);
+        self.size_px = size_px as usize;
+        self.bins.clear();
+        self.bins.extend(resampled.as_raw().as_chunks::<3>().0.iter().map(|rgb| bin_of(*rgb)));
+        for (c, plane) in self.channels.iter_mut().enumerate() {
+            plane.clear();
+            plane.extend(resampled.as_raw().iter().skip(c).step_by(3).map(|v| f32::from(*v)));
+        }
+        self.blank_outside(&crop, width, height);
+        let k = crop.intrinsics(&image.intrinsics);
+        (self.focal, self.centre) = ([k.fx as f32, k.fy as f32], [k.cx as f32, k.cy as f32]);
+        self.independence = (1.0 / crop.scale()).min(1.0) as f32;
+        Some(())
+    }
+
+    fn blank_outside(&mut self, crop: &Crop, width: f64, height: f64) {
+        let inside = |i: usize, low: f64, length: f64| {
+            let at = (i as f64 + 0.5) / crop.scale() + low;
+            at >= 0.0 && at <= length - 1.0
+        };
+        for y in 0..self.size_px {
+            let row_inside = inside(y, crop.y0, height);
+            for x in 0..self.size_px {
+                if !(row_inside && inside(x, crop.x0, width)) {
+                    self.bins[y * self.size_px + x] = NOWHERE;
+                }
+            }
+        }
+    }
+}
+
+/// An image of packed bytes, three for each pixel.
+///
+/// # Errors
+/// [`ContourError::Picture`] when the count of bytes does not fit.
+pub fn image_of_bytes(rgb: &[u8], width: usize, height: usize) -> Result<RgbImage, ContourError> {
+    let image = RgbImage::from_raw(width as u32, height as u32, rgb.to_vec());
+    image.ok_or(ContourError::Picture { width, height, need: 3 * width * height, got: rgb.len() })
+}
