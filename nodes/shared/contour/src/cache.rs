@@ -1,7 +1,7 @@
 //! Contour models on disk, named by what they were made from.
 
-use crate::model::{ContourModel, ContourPoint, ModelSettings};
 use crate::ContourError;
+use crate::model::{ContourModel, ContourPoint, ModelSettings};
 use pseudoflow_imaging::Mesh;
 use std::hash::Hasher;
 use std::io::Write;

@@ -37,6 +37,7 @@ pub struct RegionConfig {
     pub edge_lines_per_error: f64,
     pub edge_tukey: f64,
     pub edge_sigma: f64,
+    pub common_px: f64,
 }
 
 impl Default for RegionConfig {
@@ -44,16 +45,16 @@ impl Default for RegionConfig {
         Self {
             object_px: 127.0,
             margin: 1.5,
-            scales_px: vec![9.0, 6.0, 4.0, 2.0, 1.0],
+            scales_px: vec![8.0, 5.0, 3.0, 2.0, 1.0],
             iterations: 2,
-            amplitude: 0.43,
-            slope: 0.5,
+            amplitude: 0.36,
+            slope: 0.0,
             shortest: 3.0,
             colours_from_px: 0.5,
             colours_to_px: 20.0,
-            renewal: 1.0,
+            renewal: 0.8,
             lines_per_error: 8.0,
-            tukey_px: 0.0,
+            tukey_px: 4.0,
             sigma_px: 0.5,
             prior_rotation_deg: 9.5,
             prior_xy: 0.035,
@@ -61,11 +62,12 @@ impl Default for RegionConfig {
             prior_freedom: 8.0,
             evidence: 1.0,
             shift_px: 0.0,
-            edges: 0,
+            edges: 3,
             edge_noise: 8.0,
             edge_lines_per_error: 8.0,
-            edge_tukey: 2.5,
+            edge_tukey: 2.0,
             edge_sigma: 0.5,
+            common_px: 0.3,
         }
     }
 }
@@ -165,9 +167,9 @@ impl Refiner {
         let mut hessian = Matrix6::zeros();
         let mut gradient = Vector6::zeros();
         let c = &self.config;
+        let (mut cross, mut own, mut pull) = (Vector6::zeros(), 0.0, 0.0);
         for line in self.lines.iter().filter(|l| l.weight > 0.0) {
-            let variance =
-                (f64::from(line.variance_px2) + sigma_px * sigma_px) * lines_per_error;
+            let variance = (f64::from(line.variance_px2) + sigma_px * sigma_px) * lines_per_error;
             let mut w = f64::from(line.weight) / variance;
             let r = -f64::from(line.mean_px + c.shift_px);
             if tukey_px > 0.0 {
@@ -178,6 +180,16 @@ impl Refiner {
             let j = Vector6::from_fn(|i, _| f64::from(line.jacobian[i]));
             hessian += w * j * j.transpose();
             gradient += w * r * j;
+            cross += w * j;
+            own += w;
+            pull += w * r;
+        }
+        // An offset that all lines share, known to `common_px`: eliminated (Schur).
+        if c.common_px > 0.0 {
+            let sigma = c.common_px / f64::from(self.picture.independence);
+            let own = own + 1.0 / (sigma * sigma);
+            hessian -= cross * cross.transpose() / own;
+            gradient -= cross * (pull / own);
         }
         prior.accumulate(pose, &mut hessian, &mut gradient);
         let step = -hessian.cholesky()?.solve(&gradient);

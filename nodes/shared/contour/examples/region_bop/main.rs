@@ -2,38 +2,25 @@
 //! Prints ADD(-S)-0.1d, rotation and depth errors and CPU time. For research: the shipped path never sees the truth.
 #![allow(clippy::print_stdout)]
 
-use pseudoflow_contour::{load_or_make, ContourModel, Image, ModelSettings, Refiner, RegionConfig};
+use pseudoflow_contour::{ContourModel, Image, ModelSettings, Refiner, RegionConfig, load_or_make};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::{BopScene, ObjectSet, RgbImage, list_scenes};
 use pseudoflow_metrics::{MatrixPose, ModelPoints, SceneTruth, add_m, adi_m};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::rc::Rc;
 use std::time::Instant;
 
 mod synth;
 
 /// One instance with its truth.
 pub(crate) struct Case {
-    pub(crate) image: Source,
+    pub(crate) image: Rc<RgbImage>,
     pub(crate) intrinsics: Intrinsics,
     pub(crate) object_id: u32,
     pub(crate) rough: Pose,
     pub(crate) truth: MatrixPose,
     pub(crate) visible: f64,
-}
-
-pub(crate) enum Source {
-    File(PathBuf),
-    Made(RgbImage),
-}
-
-impl Source {
-    fn load(&self) -> Result<RgbImage, Failure> {
-        Ok(match self {
-            Self::File(path) => pseudoflow_imaging::load_rgb(path)?,
-            Self::Made(image) => image.clone(),
-        })
-    }
 }
 
 pub(crate) type Failure = Box<dyn std::error::Error>;
@@ -48,13 +35,14 @@ fn bop_cases(dir: &Path, split: &str, every: usize) -> Result<Vec<Case>, Failure
         let truth = SceneTruth::read(&truth_dir)?;
         for frame in BopScene::open(&scene_dir)?.frames.iter().step_by(every) {
             let Some(true_poses) = truth.images.get(&frame.image_id) else { continue };
+            let image = Rc::new(frame.load_image()?);
             for rough in &frame.initial_poses {
                 let Some(t) = true_poses.iter().find(|t| t.object_id == rough.object_id) else { continue };
                 if t.visible_fraction.is_some_and(|v| v < 0.1) {
                     continue;
                 }
                 cases.push(Case {
-                    image: Source::File(frame.image_path.clone()),
+                    image: Rc::clone(&image),
                     intrinsics: frame.intrinsics,
                     object_id: rough.object_id,
                     rough: rough.camera_from_object,
@@ -80,92 +68,120 @@ struct Row {
 fn main() -> Result<(), Failure> {
     let args: Vec<String> = std::env::args().collect();
     let (dir, split) = (Path::new(&args[1]), &args[2]);
-    let mut json = serde_json::to_value(RegionConfig::default())?;
     let (mut every, mut divisions, mut size_px, mut distance, mut per_object) = (1_usize, 3, 160, 5.0, false);
     let mut truth_start = true;
     let (mut count, mut seed, mut blur, mut occluded) = (200, 1, 0.8, false);
-    for pair in &args[3..] {
-        let (key, value) = pair.split_once('=').ok_or("key=value")?;
-        match key {
-            "every" => every = value.parse()?,
-            "divisions" => divisions = value.parse()?,
-            "size_px" => size_px = value.parse()?,
-            "distance" => distance = value.parse()?,
-            "per_object" => per_object = value.parse()?,
-            "count" => count = value.parse()?,
-            "seed" => seed = value.parse()?,
-            "blur" => blur = value.parse()?,
-            "occluded" => occluded = value.parse()?,
-            "truth_start" => truth_start = value.parse()?,
-            _ => json[key] = serde_json::from_str(value)?,
+    let mut variants = Vec::new();
+    let mut common = serde_json::to_value(RegionConfig::default())?;
+    for variant in args[3..].split(|a| a == "--") {
+        let mut json = common.clone();
+        for pair in variant {
+            let (key, value) = pair.split_once('=').ok_or("key=value")?;
+            match key {
+                "every" => every = value.parse()?,
+                "divisions" => divisions = value.parse()?,
+                "size_px" => size_px = value.parse()?,
+                "distance" => distance = value.parse()?,
+                "per_object" => per_object = value.parse()?,
+                "count" => count = value.parse()?,
+                "seed" => seed = value.parse()?,
+                "blur" => blur = value.parse()?,
+                "occluded" => occluded = value.parse()?,
+                "truth_start" => truth_start = value.parse()?,
+                _ => json[key] = serde_json::from_str(value)?,
+            }
         }
+        match variants.is_empty()
+            && args.iter().any(|a| a == "--")
+            && common == serde_json::to_value(RegionConfig::default())?
+        {
+            true => common = json.clone(),
+            false => {}
+        }
+        variants.push((variant.join(" "), json));
     }
-    let config: RegionConfig = serde_json::from_value(json)?;
     let set = ObjectSet::load(&dir.join("models"))?;
     let settings = ModelSettings { divisions, size_px, distance, ..ModelSettings::default() };
     let start = Instant::now();
     let models: BTreeMap<u32, (ContourModel, ModelPoints)> = set
         .iter()
-        .map(|o| Ok((o.id, (load_or_make(&o.mesh, &settings, Path::new("/tmp/contour_models"))?, ModelPoints::new(&o.mesh.points())?))))
+        .map(|o| {
+            Ok((
+                o.id,
+                (
+                    load_or_make(&o.mesh, &settings, Path::new("/tmp/contour_models"))?,
+                    ModelPoints::new(&o.mesh.points())?,
+                ),
+            ))
+        })
         .collect::<Result<_, Failure>>()?;
     let built = start.elapsed().as_secs_f64();
-    let mut refiner = Refiner::new(config);
     let cases = match split.as_str() {
         "synth" => synth::cases(&set, count, seed, blur, occluded)?,
         _ => bop_cases(dir, split, every)?,
     };
-    let (mut rows, mut spent, mut failed) = (Vec::new(), 0.0, 0);
-    for case in &cases {
-        let (object, (model, points)) = (set.get(case.object_id)?, &models[&case.object_id]);
-        let truth: MatrixPose = case.truth;
-        let true_pose = truth.pose();
-        let rgb = case.image.load()?;
-        let image = Image { rgb: &rgb, intrinsics: case.intrinsics };
-        let errors = |pose: &Pose| {
-            let est: MatrixPose = (*pose).into();
-            let e = match object.symmetries.is_trivial() {
-                true => add_m(points, &est, &truth),
-                false => adi_m(points, &est, &truth),
+    for (name, json) in variants {
+        let mut refiner = Refiner::new(serde_json::from_value(json)?);
+        println!("{name}");
+        let (mut rows, mut spent, mut failed) = (Vec::new(), 0.0, 0);
+        for case in &cases {
+            let (object, (model, points)) = (set.get(case.object_id)?, &models[&case.object_id]);
+            let truth: MatrixPose = case.truth;
+            let true_pose = truth.pose();
+            let image = Image { rgb: &case.image, intrinsics: case.intrinsics };
+            let errors = |pose: &Pose| {
+                let est: MatrixPose = (*pose).into();
+                let e = match object.symmetries.is_trivial() {
+                    true => add_m(points, &est, &truth),
+                    false => adi_m(points, &est, &truth),
+                };
+                let dz = (pose * object.box_centre_m()).z - (true_pose * object.box_centre_m()).z;
+                [
+                    e / object.diameter_m,
+                    pose.rotation.angle_to(&true_pose.rotation).to_degrees(),
+                    dz / object.diameter_m,
+                    f64::from(u8::from(e < 0.1 * object.diameter_m)),
+                ]
             };
-            let dz = (pose * object.box_centre_m()).z - (true_pose * object.box_centre_m()).z;
-            [
-                e / object.diameter_m,
-                pose.rotation.angle_to(&true_pose.rotation).to_degrees(),
-                dz / object.diameter_m,
-                f64::from(u8::from(e < 0.1 * object.diameter_m)),
-            ]
-        };
-        let begin = cpu_s();
-        let found = refiner.refine(&image, model, &case.rough, object.diameter_m);
-        spent += cpu_s() - begin;
-        failed += usize::from(found.is_none());
-        let score = found.map_or(0.0, |f| f.score);
-        let found = found.map_or(case.rough, |f| f.camera_from_object);
-        let stay = match truth_start {
-            true => refiner
-                .refine(&image, model, &true_pose, object.diameter_m)
-                .map_or(true_pose, |f| f.camera_from_object),
-            false => true_pose,
-        };
-        let mut with_z = found;
-        with_z.translation.vector *= (true_pose * object.box_centre_m()).z / (found * object.box_centre_m()).z;
-        rows.push(Row {
-            object: case.object_id,
-            before: errors(&case.rough),
-            after: errors(&found),
-            from_truth: errors(&stay),
-            oracle_z: errors(&with_z)[3] > 0.0,
-            score,
-            visible: case.visible,
-        });
+            let begin = cpu_s();
+            let found = refiner.refine(&image, model, &case.rough, object.diameter_m);
+            spent += cpu_s() - begin;
+            failed += usize::from(found.is_none());
+            let score = found.map_or(0.0, |f| f.score);
+            let found = found.map_or(case.rough, |f| f.camera_from_object);
+            let stay = match truth_start {
+                true => refiner
+                    .refine(&image, model, &true_pose, object.diameter_m)
+                    .map_or(true_pose, |f| f.camera_from_object),
+                false => true_pose,
+            };
+            let mut with_z = found;
+            with_z.translation.vector *= (true_pose * object.box_centre_m()).z / (found * object.box_centre_m()).z;
+            rows.push(Row {
+                object: case.object_id,
+                before: errors(&case.rough),
+                after: errors(&found),
+                from_truth: errors(&stay),
+                oracle_z: errors(&with_z)[3] > 0.0,
+                score,
+                visible: case.visible,
+            });
+        }
+        let ids: Vec<u32> = if per_object { set.ids() } else { vec![] };
+        for id in ids {
+            report(&format!("object {id}"), &rows.iter().filter(|r| r.object == id).collect::<Vec<_>>());
+        }
+        report(
+            &format!("{} {split}", dir.file_name().unwrap_or_default().to_string_lossy()),
+            &rows.iter().collect::<Vec<_>>(),
+        );
+        let auc = auc(&rows);
+        println!(
+            "  {:.2} ms each, {failed} failed, models in {built:.1} s, score AUC {auc:.3}, visible {:.2}",
+            1e3 * spent / rows.len() as f64,
+            rows.iter().map(|r| r.visible).sum::<f64>() / rows.len() as f64
+        );
     }
-    let ids: Vec<u32> = if per_object { set.ids() } else { vec![] };
-    for id in ids {
-        report(&format!("object {id}"), &rows.iter().filter(|r| r.object == id).collect::<Vec<_>>());
-    }
-    report(&format!("{} {split}", dir.file_name().unwrap_or_default().to_string_lossy()), &rows.iter().collect::<Vec<_>>());
-    let auc = auc(&rows);
-    println!("  {:.2} ms each, {failed} failed, models in {built:.1} s, score AUC {auc:.3}, visible {:.2}", 1e3 * spent / rows.len() as f64, rows.iter().map(|r| r.visible).sum::<f64>() / rows.len() as f64);
     Ok(())
 }
 

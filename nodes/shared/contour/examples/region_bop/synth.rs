@@ -1,6 +1,6 @@
 //! Rendered pictures with known truth: objects of a set before photographs, blurred and noisy.
 
-use crate::{Case, Failure, Source};
+use crate::{Case, Failure};
 use nalgebra::{UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Jitter, Pose, standard_normal};
 use pseudoflow_imaging::raster::{Background, Item, Rendering, Scene, Scratch, Studio, render_scene};
@@ -36,9 +36,8 @@ fn case(
         let q: [f64; 4] = std::array::from_fn(|_| standard_normal(rng));
         UnitQuaternion::new_normalize(nalgebra::Quaternion::from(q))
     };
-    let at = |rng: &mut StdRng, z: f64| {
-        Vector3::new(rng.random_range(-0.25..0.25) * z, rng.random_range(-0.2..0.2) * z, z)
-    };
+    let at =
+        |rng: &mut StdRng, z: f64| Vector3::new(rng.random_range(-0.25..0.25) * z, rng.random_range(-0.2..0.2) * z, z);
     let place = |object: &Object, centre: Vector3<f64>, r: UnitQuaternion<f64>| {
         Pose::from_parts((centre - r * object.box_centre_m().coords).into(), r)
     };
@@ -60,16 +59,11 @@ fn case(
     }
     let background = pseudoflow_imaging::load_rgb(&backgrounds[rng.random_range(0..backgrounds.len())])?;
     let rgb = photograph(&items, &k, &background, z as f32, blur, rng);
-    let jitter = Jitter {
-        angle_rad: 9_f64.to_radians(),
-        max_angle_rad: 1.0,
-        xy_m: 0.03 * d,
-        z_m: 0.14 * d,
-    };
+    let jitter = Jitter { angle_rad: 9_f64.to_radians(), max_angle_rad: 1.0, xy_m: 0.03 * d, z_m: 0.14 * d };
     // The noise of rough poses turns about the object's middle.
     let to_middle = Pose::translation(object.box_centre_m().x, object.box_centre_m().y, object.box_centre_m().z);
     let rough = jitter.sample(&(truth * to_middle), rng) * to_middle.inverse();
-    Ok(Case { image: Source::Made(rgb), intrinsics: k, object_id: object.id, rough, truth: truth.into(), visible: 1.0 })
+    Ok(Case { image: rgb.into(), intrinsics: k, object_id: object.id, rough, truth: truth.into(), visible: 1.0 })
 }
 
 fn photograph(
@@ -84,12 +78,11 @@ fn photograph(
     let s = f64::from(S);
     let (w, h) = (SIZE.0 * S, SIZE.1 * S);
     // Pixel centres at integers: u' = s u + (s - 1) / 2.
-    let large = Intrinsics { fx: s * k.fx, fy: s * k.fy, cx: s * k.cx + (s - 1.0) / 2.0, cy: s * k.cy + (s - 1.0) / 2.0 };
-    let background = RgbImage::from_fn(w, h, |x, y| {
-        *background.get_pixel(x * background.width() / w, y * background.height() / h)
-    });
-    let scene =
-        Scene { items, intrinsics: large, width: w, height: h, background: Background::Image(&background) };
+    let large =
+        Intrinsics { fx: s * k.fx, fy: s * k.fy, cx: s * k.cx + (s - 1.0) / 2.0, cy: s * k.cy + (s - 1.0) / 2.0 };
+    let background =
+        RgbImage::from_fn(w, h, |x, y| *background.get_pixel(x * background.width() / w, y * background.height() / h));
+    let scene = Scene { items, intrinsics: large, width: w, height: h, background: Background::Image(&background) };
     let studio = Studio::random(items.len(), z, rng);
     let mut out = Rendering::new(w, h);
     render_scene(&scene, &studio, &mut Scratch::default(), &mut out);
