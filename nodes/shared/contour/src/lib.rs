@@ -1,6 +1,7 @@
 //! Region-based pose refinement.
 mod cache;
 mod error;
+mod hiders;
 mod histogram;
 mod icosphere;
 mod lines;
@@ -12,7 +13,8 @@ mod refine;
 
 pub use cache::load_or_make;
 pub use error::ContourError;
+pub use hiders::Hider;
 pub use model::{ContourModel, ContourPoint, ModelSettings};
 pub use picture::{Image, image_of_bytes};
 pub use prior::{Prior, retract};
-pub use refine::{Refiner, Region, RegionConfig};
+pub use refine::{Nothing, Refiner, Region, RegionConfig, Term};

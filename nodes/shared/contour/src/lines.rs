@@ -111,12 +111,19 @@ impl View {
     }
 }
 
-/// The lines of a view, those whose middle is in the picture.
-pub(crate) fn project(points: &[ContourPoint], pose: &Pose, picture: &Picture, lines: &mut Vec<Line>) {
+/// The lines of a view: those whose middle is in the picture, or `everywhere`.
+pub(crate) fn project(
+    points: &[ContourPoint],
+    pose: &Pose,
+    picture: &Picture,
+    everywhere: bool,
+    lines: &mut Vec<Line>,
+) {
     let view = View::new(pose, picture);
     let limit = picture.size_px as f32 - 1.0;
     lines.clear();
-    lines.extend(points.iter().filter_map(|p| view.line(p)).filter(|l| l.at.iter().all(|v| *v >= 0.0 && *v <= limit)));
+    let within = |l: &Line| everywhere || l.at.iter().all(|v| *v >= 0.0 && *v <= limit);
+    lines.extend(points.iter().filter_map(|p| view.line(p)).filter(within));
 }
 
 /// Bilinear sample of a plane; 0 outside.
@@ -151,7 +158,7 @@ pub(crate) struct Reading {
 pub(crate) fn measure(lines: &mut [Line], log_odds: &[f32], size_px: usize, reading: &Reading) {
     let shortest_px = reading.shortest * reading.scale_px;
     for line in lines {
-        if line.inside_px < shortest_px || line.outside_px < shortest_px {
+        if line.weight == 0.0 || line.inside_px < shortest_px || line.outside_px < shortest_px {
             line.weight = 0.0;
             continue;
         }
@@ -210,7 +217,7 @@ pub(crate) fn measure_edges(lines: &mut [Line], picture: &Picture, noise: f32) {
     let h = 1.0 / picture.independence.max(1e-3);
     for line in lines {
         let reach = HALF as f32 * h;
-        if line.inside_px < reach || line.outside_px < reach {
+        if line.weight == 0.0 || line.inside_px < reach || line.outside_px < reach {
             line.weight = 0.0;
             continue;
         }

@@ -1,5 +1,6 @@
 //! Coarse to fine: correspondences on lines, then a Gauss-Newton step of lines and prior together.
 
+use crate::hiders::{Hider, Hiders};
 use crate::histogram::Histograms;
 use crate::lines::{Line, Reading, SmoothStep, measure, measure_edges, project};
 use crate::model::ContourModel;
@@ -72,6 +73,24 @@ impl Default for RegionConfig {
     }
 }
 
+/// A further term of the cost, with the tangent of [`retract`].
+pub trait Term {
+    /// Adds its Gauss-Newton Hessian and gradient at a pose.
+    fn accumulate(&mut self, pose: &Pose, hessian: &mut Matrix6<f64>, gradient: &mut Vector6<f64>);
+    /// Its share of the negative log posterior.
+    fn cost(&mut self, pose: &Pose) -> f64;
+}
+
+/// No further term.
+pub struct Nothing;
+
+impl Term for Nothing {
+    fn accumulate(&mut self, _: &Pose, _: &mut Matrix6<f64>, _: &mut Vector6<f64>) {}
+    fn cost(&mut self, _: &Pose) -> f64 {
+        0.0
+    }
+}
+
 /// Refines poses; holds its working memory.
 #[derive(Debug, Clone)]
 pub struct Refiner {
@@ -80,6 +99,7 @@ pub struct Refiner {
     histograms: Histograms,
     log_odds: Vec<f32>,
     lines: Vec<Line>,
+    hiders: Hiders,
 }
 
 /// What came out.
@@ -87,6 +107,7 @@ pub struct Refiner {
 pub struct Region {
     pub camera_from_object: Pose,
     pub score: f64,
+    pub cost: f64,
     pub overlap: f32,
 }
 
@@ -99,6 +120,7 @@ impl Refiner {
             histograms: Histograms::new(),
             log_odds: Vec::new(),
             lines: Vec::new(),
+            hiders: Hiders::default(),
         }
     }
 
@@ -115,33 +137,62 @@ impl Refiner {
         }
     }
 
-    pub fn refine(&mut self, image: &Image<'_>, model: &ContourModel, rough: &Pose, diameter_m: f64) -> Option<Region> {
-        let c = self.config.clone();
+    pub fn refine(
+        &mut self,
+        image: &Image<'_>,
+        model: &ContourModel,
+        rough: &Pose,
+        diameter_m: f64,
+        hiders: &[Hider<'_>],
+    ) -> Option<Region> {
         let prior = self.prior(rough, model, diameter_m);
+        self.refine_with(image, model, rough, &prior, hiders, &mut Nothing)
+    }
+
+    pub fn refine_with(
+        &mut self,
+        image: &Image<'_>,
+        model: &ContourModel,
+        rough: &Pose,
+        prior: &Prior,
+        hiders: &[Hider<'_>],
+        term: &mut dyn Term,
+    ) -> Option<Region> {
+        let c = self.config.clone();
         self.picture.fill(image, rough, &model.centre_m(), model.radius_m(), c.object_px, c.margin)?;
+        self.hiders.fill(hiders, model, rough, &self.picture);
         self.histograms.clear();
         let mut pose = *rough;
         for (i, scale) in c.scales_px.iter().enumerate() {
             let iterations = if i == 0 { 1 } else { c.iterations };
             for _ in 0..iterations {
-                pose = self.step(model, &pose, &prior, *scale as f32)?;
+                pose = self.step(model, &pose, prior, term, *scale as f32)?;
             }
         }
         for _ in 0..c.edges {
-            project(model.view(&pose), &pose, &self.picture, &mut self.lines);
+            project(model.view(&pose), &pose, &self.picture, false, &mut self.lines);
+            self.hiders.apply(&mut self.lines);
             measure_edges(&mut self.lines, &self.picture, c.edge_noise);
             let h = 1.0 / f64::from(self.picture.independence);
-            pose = self.solve(&pose, &prior, c.edge_tukey * h, c.edge_sigma * h, c.edge_lines_per_error)?;
+            pose = self.solve(&pose, prior, term, c.edge_tukey * h, c.edge_sigma * h, c.edge_lines_per_error)?;
         }
         let last = *c.scales_px.last()? as f32;
         self.look(model, &pose, last)?;
         let score = self.lines.iter().filter(|l| l.weight > 0.0).map(|l| f64::from(l.here)).sum::<f64>()
             / self.lines.len().max(1) as f64;
-        Some(Region { camera_from_object: pose, score, overlap: self.histograms.overlap() })
+        let lines: f64 = self
+            .lines
+            .iter()
+            .filter(|l| l.weight > 0.0)
+            .map(|l| -(0.9 * f64::from(l.here) + 0.1 / 12.0).ln() - (12.0_f64).ln())
+            .sum();
+        let cost = lines / c.lines_per_error + prior.cost(&pose) + term.cost(&pose);
+        Some(Region { cost, camera_from_object: pose, score, overlap: self.histograms.overlap() })
     }
 
     fn look(&mut self, model: &ContourModel, pose: &Pose, scale_px: f32) -> Option<()> {
-        project(model.view(pose), pose, &self.picture, &mut self.lines);
+        project(model.view(pose), pose, &self.picture, false, &mut self.lines);
+        self.hiders.apply(&mut self.lines);
         self.count_colours();
         if !self.histograms.renew(self.config.renewal) {
             return None;
@@ -157,13 +208,28 @@ impl Refiner {
         Some(())
     }
 
-    fn step(&mut self, model: &ContourModel, pose: &Pose, prior: &Prior, scale_px: f32) -> Option<Pose> {
+    fn step(
+        &mut self,
+        model: &ContourModel,
+        pose: &Pose,
+        prior: &Prior,
+        term: &mut dyn Term,
+        scale_px: f32,
+    ) -> Option<Pose> {
         self.look(model, pose, scale_px)?;
         let c = &self.config;
-        self.solve(pose, prior, c.tukey_px * f64::from(scale_px), c.sigma_px, c.lines_per_error)
+        self.solve(pose, prior, term, c.tukey_px * f64::from(scale_px), c.sigma_px, c.lines_per_error)
     }
 
-    fn solve(&self, pose: &Pose, prior: &Prior, tukey_px: f64, sigma_px: f64, lines_per_error: f64) -> Option<Pose> {
+    fn solve(
+        &self,
+        pose: &Pose,
+        prior: &Prior,
+        term: &mut dyn Term,
+        tukey_px: f64,
+        sigma_px: f64,
+        lines_per_error: f64,
+    ) -> Option<Pose> {
         let mut hessian = Matrix6::zeros();
         let mut gradient = Vector6::zeros();
         let c = &self.config;
@@ -192,6 +258,7 @@ impl Refiner {
             gradient -= cross * (pull / own);
         }
         prior.accumulate(pose, &mut hessian, &mut gradient);
+        term.accumulate(pose, &mut hessian, &mut gradient);
         let step = -hessian.cholesky()?.solve(&gradient);
         step.iter().all(|v| v.is_finite()).then(|| retract(pose, &step))
     }
@@ -200,7 +267,7 @@ impl Refiner {
         let (from, to) = (self.config.colours_from_px, self.config.colours_to_px);
         self.histograms.begin();
         let size = self.picture.size_px as i32;
-        for line in &self.lines {
+        for line in self.lines.iter().filter(|l| l.weight > 0.0) {
             let steps = |reach: f32| ((reach.min(to) - from).max(0.0)) as usize;
             let bin = |r: f32| {
                 let x = (line.at[0] + r * line.normal[0]).round() as i32;

@@ -2,7 +2,7 @@
 //! Prints ADD(-S)-0.1d, rotation and depth errors and CPU time. For research: the shipped path never sees the truth.
 #![allow(clippy::print_stdout)]
 
-use pseudoflow_contour::{ContourModel, Image, ModelSettings, Refiner, RegionConfig, load_or_make};
+use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, Refiner, RegionConfig, load_or_make};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::{BopScene, ObjectSet, RgbImage, list_scenes};
 use pseudoflow_metrics::{MatrixPose, ModelPoints, SceneTruth, add_m, adi_m};
@@ -36,7 +36,9 @@ fn bop_cases(dir: &Path, split: &str, every: usize) -> Result<Vec<Case>, Failure
         for frame in BopScene::open(&scene_dir)?.frames.iter().step_by(every) {
             let Some(true_poses) = truth.images.get(&frame.image_id) else { continue };
             let image = Rc::new(frame.load_image()?);
-            for rough in &frame.initial_poses {
+            let mut near: Vec<_> = frame.initial_poses.iter().collect();
+            near.sort_by(|a, b| a.camera_from_object.translation.z.total_cmp(&b.camera_from_object.translation.z));
+            for rough in near {
                 let Some(t) = true_poses.iter().find(|t| t.object_id == rough.object_id) else { continue };
                 if t.visible_fraction.is_some_and(|v| v < 0.1) {
                     continue;
@@ -70,6 +72,7 @@ fn main() -> Result<(), Failure> {
     let (dir, split) = (Path::new(&args[1]), &args[2]);
     let (mut every, mut divisions, mut size_px, mut distance, mut per_object) = (1_usize, 3, 160, 5.0, false);
     let mut truth_start = true;
+    let mut occlusion = true;
     let (mut count, mut seed, mut blur, mut occluded) = (200, 1, 0.8, false);
     let mut variants = Vec::new();
     let mut common = serde_json::to_value(RegionConfig::default())?;
@@ -87,6 +90,7 @@ fn main() -> Result<(), Failure> {
                 "seed" => seed = value.parse()?,
                 "blur" => blur = value.parse()?,
                 "occluded" => occluded = value.parse()?,
+                "occlusion" => occlusion = value.parse()?,
                 "truth_start" => truth_start = value.parse()?,
                 _ => json[key] = serde_json::from_str(value)?,
             }
@@ -124,7 +128,8 @@ fn main() -> Result<(), Failure> {
         let mut refiner = Refiner::new(serde_json::from_value(json)?);
         println!("{name}");
         let (mut rows, mut spent, mut failed) = (Vec::new(), 0.0, 0);
-        for case in &cases {
+        let mut refined: Vec<Option<Pose>> = vec![None; cases.len()];
+        for (number, case) in cases.iter().enumerate() {
             let (object, (model, points)) = (set.get(case.object_id)?, &models[&case.object_id]);
             let truth: MatrixPose = case.truth;
             let true_pose = truth.pose();
@@ -143,15 +148,26 @@ fn main() -> Result<(), Failure> {
                     f64::from(u8::from(e < 0.1 * object.diameter_m)),
                 ]
             };
+            let hiders: Vec<Hider<'_>> = cases
+                .iter()
+                .enumerate()
+                .filter(|(i, c)| Rc::ptr_eq(&c.image, &case.image) && *i != number)
+                .map(|(i, c)| Hider {
+                    model: &models[&c.object_id].0,
+                    camera_from_object: refined[i].unwrap_or(c.rough),
+                })
+                .collect();
+            let hiders = if occlusion { hiders } else { Vec::new() };
             let begin = cpu_s();
-            let found = refiner.refine(&image, model, &case.rough, object.diameter_m);
+            let found = refiner.refine(&image, model, &case.rough, object.diameter_m, &hiders);
             spent += cpu_s() - begin;
             failed += usize::from(found.is_none());
             let score = found.map_or(0.0, |f| f.score);
             let found = found.map_or(case.rough, |f| f.camera_from_object);
+            refined[number] = Some(found);
             let stay = match truth_start {
                 true => refiner
-                    .refine(&image, model, &true_pose, object.diameter_m)
+                    .refine(&image, model, &true_pose, object.diameter_m, &hiders)
                     .map_or(true_pose, |f| f.camera_from_object),
                 false => true_pose,
             };

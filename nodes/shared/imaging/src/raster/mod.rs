@@ -14,7 +14,9 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
-pub use software::{Background, Item, MAX_ITEMS, PLAIN_ALBEDO, Scene, Scratch, SoftwareRasteriser, render_depth, render_scene};
+pub use software::{
+    Background, Item, MAX_ITEMS, PLAIN_ALBEDO, Scene, Scratch, SoftwareRasteriser, render_depth, render_scene,
+};
 pub use studio::{Light, Material, SoftShadow, Studio};
 pub use surface::{Headlight, Shader, Surface};
 
