@@ -51,15 +51,15 @@ impl Histograms {
         self.fresh_outside.fill(0.0);
     }
 
-    pub(crate) fn count_inside(&mut self, bin: u16, weight: f32) {
+    pub(crate) fn count_inside(&mut self, bin: u16) {
         if bin != NOWHERE {
-            self.fresh_inside[bin as usize] += weight;
+            self.fresh_inside[bin as usize] += 1.0;
         }
     }
 
-    pub(crate) fn count_outside(&mut self, bin: u16, weight: f32) {
+    pub(crate) fn count_outside(&mut self, bin: u16) {
         if bin != NOWHERE {
-            self.fresh_outside[bin as usize] += weight;
+            self.fresh_outside[bin as usize] += 1.0;
         }
     }
 
@@ -107,8 +107,8 @@ mod tests {
         let mut h = Histograms::new();
         h.begin();
         let (red, blue, grey) = (bin_of([200, 10, 10]), bin_of([10, 10, 200]), bin_of([90, 90, 90]));
-        (0..100).for_each(|_| h.count_inside(red, 1.0));
-        (0..100).for_each(|_| h.count_outside(blue, 1.0));
+        (0..100).for_each(|_| h.count_inside(red));
+        (0..100).for_each(|_| h.count_outside(blue));
         assert!(h.renew(1.0));
         let mut out = Vec::new();
         h.log_odds(&[red, blue, grey, NOWHERE], &mut out);

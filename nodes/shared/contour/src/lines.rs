@@ -16,13 +16,10 @@ const STEP: usize = 8;
 pub(crate) struct SmoothStep([f32; STEP]);
 
 impl SmoothStep {
-    /// `1/2 - a tanh(x / 2b)` at x = -3.5 .. 3.5 (SRT3D, arXiv 2110.12715, eq. 9); `slope` 0 is a sharp step.
-    pub(crate) fn new(amplitude: f32, slope: f32) -> Self {
-        let at = |x: f32| match slope > 0.0 {
-            true => 0.5 - amplitude * (x / (2.0 * slope)).tanh(),
-            false => 0.5 - amplitude * x.signum(),
-        };
-        Self(std::array::from_fn(|i| at(i as f32 - 3.5)))
+    /// A sharp step between `1/2 + amplitude` inside and `1/2 - amplitude` outside: SRT3D's global and local uncertainty
+    /// (arXiv 2110.12715, eq. 9) without the slope, which did worse.
+    pub(crate) fn new(amplitude: f32) -> Self {
+        Self(std::array::from_fn(|i| 0.5 - amplitude * (i as f32 - 3.5).signum()))
     }
 }
 
@@ -120,9 +117,8 @@ pub(crate) fn project(
     lines: &mut Vec<Line>,
 ) {
     let view = View::new(pose, picture);
-    let limit = picture.size_px as f32 - 1.0;
     lines.clear();
-    let within = |l: &Line| everywhere || l.at.iter().all(|v| *v >= 0.0 && *v <= limit);
+    let within = |l: &Line| everywhere || picture.shows(l.at);
     lines.extend(points.iter().filter_map(|p| view.line(p)).filter(within));
 }
 
@@ -218,6 +214,11 @@ pub(crate) fn measure_edges(lines: &mut [Line], picture: &Picture, noise: f32) {
     for line in lines {
         let reach = HALF as f32 * h;
         if line.weight == 0.0 || line.inside_px < reach || line.outside_px < reach {
+            line.weight = 0.0;
+            continue;
+        }
+        let end = |sign: f32| [0, 1].map(|a| line.at[a] + sign * reach * line.normal[a]);
+        if !(picture.shows(end(1.0)) && picture.shows(end(-1.0))) {
             line.weight = 0.0;
             continue;
         }

@@ -28,7 +28,7 @@ pub struct ModelSettings {
 
 impl Default for ModelSettings {
     fn default() -> Self {
-        Self { divisions: 4, points: 200, distance: 5.0, size_px: 160 }
+        Self { divisions: 3, points: 200, distance: 5.0, size_px: 160 }
     }
 }
 

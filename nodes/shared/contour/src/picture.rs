@@ -2,6 +2,7 @@
 
 use crate::ContourError;
 use crate::histogram::{NOWHERE, bin_of};
+use nalgebra::{Point2, Point3};
 use pseudoflow_geometry::{Crop, Intrinsics, Pose};
 use pseudoflow_imaging::{RgbImage, resample};
 
@@ -13,6 +14,9 @@ pub(crate) struct Picture {
     /// Colours, one plane a channel, 0..255.
     pub(crate) channels: [Vec<f32>; 3],
     pub(crate) size_px: usize,
+    /// Corners of what lies in the image.
+    pub(crate) low: [f32; 2],
+    pub(crate) high: [f32; 2],
     pub(crate) focal: [f32; 2],
     pub(crate) centre: [f32; 2],
     /// Pixels of the image for one pixel of the picture, at most one: neighbouring pixels of an enlarged picture tell the same.
@@ -29,19 +33,18 @@ pub struct Image<'a> {
 }
 
 impl Picture {
-    /// The picture around a sphere of `radius_m` around `centre_in_camera`, whose diameter becomes `object_px`, with `margin`
-    /// times that around it in all. `None` when the object is behind the camera or not in the image.
+    /// The picture around a sphere (middle in the object's frame, radius; metres), whose diameter becomes `object_px`, with
+    /// `margin` times that in all. `None` when the object is behind the camera or not in the image.
     pub(crate) fn fill(
         &mut self,
         image: &Image<'_>,
         camera_from_object: &Pose,
-        centre_m: &nalgebra::Point3<f64>,
-        radius_m: f64,
+        (centre_m, radius_m): (&Point3<f64>, f64),
         object_px: f64,
         margin: f64,
     ) -> Option<()> {
         let centre = camera_from_object * centre_m;
-        let at = image.intrinsics.project(&centre)?;
+        let at = image.intrinsics.project(&centre).filter(|_| centre.z > radius_m)?;
         let diameter_px = 2.0 * radius_m * image.intrinsics.fx.max(image.intrinsics.fy) / centre.z;
         let side = diameter_px * margin;
         let size_px = (object_px * margin).round();
@@ -66,15 +69,28 @@ impl Picture {
         Some(())
     }
 
+    /// Whether a place lies in the image.
+    pub(crate) fn shows(&self, at: [f32; 2]) -> bool {
+        (0..2).all(|a| at[a] >= self.low[a] && at[a] <= self.high[a])
+    }
+
+    /// The colour bin at a place of the picture.
+    pub(crate) fn bin(&self, x: f32, y: f32) -> Option<u16> {
+        let (x, y) = (x.round() as i32, y.round() as i32);
+        let within = x >= 0 && y >= 0 && x < self.size_px as i32 && y < self.size_px as i32;
+        within.then(|| self.bins[y as usize * self.size_px + x as usize])
+    }
+
+    /// What of the picture lies in the image, and no colours elsewhere.
     fn blank_outside(&mut self, crop: &Crop, width: f64, height: f64) {
-        let inside = |i: usize, low: f64, length: f64| {
-            let at = (i as f64 + 0.5) / crop.scale() + low;
-            at >= 0.0 && at <= length - 1.0
-        };
+        let (first, last) = (Point2::new(0.0, 0.0), Point2::new(width - 1.0, height - 1.0));
+        let (low, high) = (crop.crop_from_image(&first), crop.crop_from_image(&last));
+        let limit = self.size_px as f64 - 1.0;
+        self.low = [low.x.max(0.0) as f32, low.y.max(0.0) as f32];
+        self.high = [high.x.min(limit) as f32, high.y.min(limit) as f32];
         for y in 0..self.size_px {
-            let row_inside = inside(y, crop.y0, height);
             for x in 0..self.size_px {
-                if !(row_inside && inside(x, crop.x0, width)) {
+                if !self.shows([x as f32, y as f32]) {
                     self.bins[y * self.size_px + x] = NOWHERE;
                 }
             }

@@ -1,5 +1,7 @@
 //! What is known of a pose before the picture is looked at.
 
+use crate::config::PriorConfig;
+use crate::model::ContourModel;
 use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 use pseudoflow_geometry::Pose;
 
@@ -30,6 +32,20 @@ pub fn retract(pose: &Pose, tangent: &Vector6<f64>) -> Pose {
 }
 
 impl Prior {
+    /// The prior of an object at a rough pose.
+    #[must_use]
+    pub fn new(config: &PriorConfig, rough: &Pose, model: &ContourModel, diameter_m: f64) -> Self {
+        let of = |sigma: f64| 1.0 / (sigma * sigma);
+        let (xy, z) = (of(config.xy * diameter_m), of(config.z * diameter_m));
+        let turn = of(config.rotation_deg.to_radians());
+        Self {
+            camera_from_object: *rough,
+            information: [xy, xy, z, turn, turn, turn],
+            freedom: config.freedom,
+            middle_m: model.centre_m().coords,
+        }
+    }
+
     /// How far a pose is away: shift of the middle and turn, camera axes.
     fn difference(&self, pose: &Pose) -> Vector6<f64> {
         let turn = (pose.rotation * self.camera_from_object.rotation.inverse()).scaled_axis();
@@ -61,5 +77,33 @@ impl Prior {
         let information = Matrix6::from_diagonal(&Vector6::from_fn(|i, _| weight * self.information[i]));
         *hessian += jacobian.transpose() * information * jacobian;
         *gradient += jacobian.transpose() * information * self.difference(pose);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gradient_is_that_of_the_cost() {
+        let rough = Pose::new(Vector3::new(0.02, -0.01, 0.9), Vector3::new(0.4, -0.2, 0.1));
+        let prior = Prior {
+            camera_from_object: rough,
+            information: [1e5, 1e5, 4e3, 36.0, 36.0, 36.0],
+            freedom: 8.0,
+            middle_m: Vector3::new(0.01, 0.03, -0.02),
+        };
+        let pose = retract(&rough, &Vector6::new(0.004, -0.002, 0.03, 0.02, -0.05, 0.03));
+        let (mut hessian, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
+        prior.accumulate(&pose, &mut hessian, &mut gradient);
+        for k in 0..6 {
+            let mut tangent = Vector6::zeros();
+            tangent[k] = 1e-6;
+            let slope = (prior.cost(&retract(&pose, &tangent)) - prior.cost(&retract(&pose, &-tangent))) / 2e-6;
+            // The rotation's own curvature is left out of Gauss-Newton: small turns, small difference.
+            assert!((slope - gradient[k]).abs() < 0.02 * (1.0 + gradient[k].abs()), "{k}: {slope} {}", gradient[k]);
+        }
+        assert!(hessian.cholesky().is_some());
+        assert!(prior.cost(&rough).abs() < 1e-12);
     }
 }

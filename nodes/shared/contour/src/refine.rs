@@ -1,97 +1,59 @@
-//! Coarse to fine: correspondences on lines, then a Gauss-Newton step of lines and prior together.
+//! Coarse to fine: correspondences on lines, then a Gauss-Newton step of lines, prior and whatever else knows of the pose.
 
+use crate::config::RegionConfig;
 use crate::hiders::{Hider, Hiders};
-use crate::histogram::Histograms;
+use crate::histogram::{Histograms, NOWHERE};
 use crate::lines::{Line, Reading, SmoothStep, measure, measure_edges, project};
 use crate::model::ContourModel;
 use crate::picture::{Image, Picture};
 use crate::prior::{Prior, retract};
+use crate::{ContourError, RegionStatus};
 use nalgebra::{Matrix6, Vector6};
 use pseudoflow_geometry::Pose;
-
-/// Settings of the region stage.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct RegionConfig {
-    pub object_px: f64,
-    pub margin: f64,
-    pub scales_px: Vec<f64>,
-    pub iterations: usize,
-    pub amplitude: f32,
-    pub slope: f32,
-    pub shortest: f32,
-    pub colours_from_px: f32,
-    pub colours_to_px: f32,
-    pub renewal: f32,
-    /// Lines that share one error.
-    pub lines_per_error: f64,
-    pub tukey_px: f64,
-    pub sigma_px: f64,
-    pub prior_rotation_deg: f64,
-    pub prior_xy: f64,
-    pub prior_z: f64,
-    pub prior_freedom: f64,
-    pub evidence: f32,
-    pub shift_px: f32,
-    pub edges: usize,
-    pub edge_noise: f32,
-    pub edge_lines_per_error: f64,
-    pub edge_tukey: f64,
-    pub edge_sigma: f64,
-    pub common_px: f64,
-}
-
-impl Default for RegionConfig {
-    fn default() -> Self {
-        Self {
-            object_px: 127.0,
-            margin: 1.5,
-            scales_px: vec![8.0, 5.0, 3.0, 2.0, 1.0],
-            iterations: 2,
-            amplitude: 0.36,
-            slope: 0.0,
-            shortest: 3.0,
-            colours_from_px: 0.5,
-            colours_to_px: 20.0,
-            renewal: 0.8,
-            lines_per_error: 8.0,
-            tukey_px: 4.0,
-            sigma_px: 0.5,
-            prior_rotation_deg: 9.5,
-            prior_xy: 0.035,
-            prior_z: 0.14,
-            prior_freedom: 8.0,
-            evidence: 1.0,
-            shift_px: 0.0,
-            edges: 3,
-            edge_noise: 8.0,
-            edge_lines_per_error: 8.0,
-            edge_tukey: 2.0,
-            edge_sigma: 0.5,
-            common_px: 0.3,
-        }
-    }
-}
 
 /// A further term of the cost, with the tangent of [`retract`].
 pub trait Term {
     /// Adds its Gauss-Newton Hessian and gradient at a pose.
     fn accumulate(&mut self, pose: &Pose, hessian: &mut Matrix6<f64>, gradient: &mut Vector6<f64>);
+
     /// Its share of the negative log posterior.
     fn cost(&mut self, pose: &Pose) -> f64;
 }
 
-/// No further term.
-pub struct Nothing;
-
-impl Term for Nothing {
-    fn accumulate(&mut self, _: &Pose, _: &mut Matrix6<f64>, _: &mut Vector6<f64>) {}
-    fn cost(&mut self, _: &Pose) -> f64 {
-        0.0
-    }
+/// What there is to refine.
+#[derive(Debug, Clone, Copy)]
+pub struct Task<'a> {
+    /// The picture.
+    pub image: Image<'a>,
+    /// The object's contour.
+    pub model: &'a ContourModel,
+    /// What is known before.
+    pub prior: &'a Prior,
+    /// The other objects of the frame.
+    pub hiders: &'a [Hider<'a>],
 }
 
-/// Refines poses; holds its working memory.
+/// What was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Region {
+    /// The pose of the least cost that the steps came to; where they began when the status says that nothing is known.
+    pub camera_from_object: Pose,
+    /// Hessian of all terms at the pose, tangent of [`retract`]: the inverse of a covariance.
+    pub information: Matrix6<f64>,
+    /// Negative log posterior of lines, prior and further term, up to a constant: lower is better, for one task.
+    pub cost: f64,
+    /// How well the lines agree with the pose, 0..1: mean probability of the contour being where the pose puts it, in units
+    /// of the most a line can say.
+    pub agreement: f64,
+    /// How much of the colours of both sides is the same, 0..1.
+    pub overlap: f32,
+    /// Lines that were read at the end.
+    pub lines: usize,
+    /// Whether the contour says anything.
+    pub status: RegionStatus,
+}
+
+/// Refines poses by their contours. Holds its working memory.
 #[derive(Debug, Clone)]
 pub struct Refiner {
     config: RegionConfig,
@@ -102,185 +64,240 @@ pub struct Refiner {
     hiders: Hiders,
 }
 
-/// What came out.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Region {
-    pub camera_from_object: Pose,
-    pub score: f64,
-    pub cost: f64,
-    pub overlap: f32,
+/// How lines become a step.
+struct Weighing {
+    tukey_px: f64,
+    sigma_px: f64,
+    lines_per_error: f64,
 }
 
+/// Share of lines that may say nothing or the wrong, in the likelihood that compares poses.
+const STRAY: f64 = 0.1;
+/// Places of the contour on a line.
+const PLACES: f64 = crate::lines::OFFSETS as f64;
+
 impl Refiner {
-    #[must_use]
-    pub fn new(config: RegionConfig) -> Self {
-        Self {
+    /// A refiner with these settings.
+    ///
+    /// # Errors
+    /// [`ContourError::Setting`].
+    pub fn new(config: RegionConfig) -> Result<Self, ContourError> {
+        config.validate()?;
+        Ok(Self {
             config,
             picture: Picture::default(),
             histograms: Histograms::new(),
             log_odds: Vec::new(),
             lines: Vec::new(),
             hiders: Hiders::default(),
+        })
+    }
+
+    /// What is known of an object at a rough pose.
+    #[must_use]
+    pub fn prior(&self, rough: &Pose, model: &ContourModel, diameter_m: f64) -> Prior {
+        Prior::new(&self.config.prior, rough, model, diameter_m)
+    }
+
+    /// Refines `start` by contour and prior, and by `term` if there is one.
+    pub fn refine(&mut self, task: &Task<'_>, start: &Pose, mut term: Option<&mut dyn Term>) -> Region {
+        let status = self.begin(task, start);
+        if status != RegionStatus::Ok {
+            return self.without_contour(task, start, status, term);
         }
-    }
-
-    pub fn prior(&self, pose: &Pose, model: &ContourModel, diameter_m: f64) -> Prior {
-        let c = &self.config;
-        let of = |sigma: f64| 1.0 / (sigma * sigma);
-        let (xy, z, r) =
-            (of(c.prior_xy * diameter_m), of(c.prior_z * diameter_m), of(c.prior_rotation_deg.to_radians()));
-        Prior {
-            camera_from_object: *pose,
-            information: [xy, xy, z, r, r, r],
-            freedom: c.prior_freedom,
-            middle_m: model.centre_m().coords,
-        }
-    }
-
-    pub fn refine(
-        &mut self,
-        image: &Image<'_>,
-        model: &ContourModel,
-        rough: &Pose,
-        diameter_m: f64,
-        hiders: &[Hider<'_>],
-    ) -> Option<Region> {
-        let prior = self.prior(rough, model, diameter_m);
-        self.refine_with(image, model, rough, &prior, hiders, &mut Nothing)
-    }
-
-    pub fn refine_with(
-        &mut self,
-        image: &Image<'_>,
-        model: &ContourModel,
-        rough: &Pose,
-        prior: &Prior,
-        hiders: &[Hider<'_>],
-        term: &mut dyn Term,
-    ) -> Option<Region> {
-        let c = self.config.clone();
-        self.picture.fill(image, rough, &model.centre_m(), model.radius_m(), c.object_px, c.margin)?;
-        self.hiders.fill(hiders, model, rough, &self.picture);
-        self.histograms.clear();
-        let mut pose = *rough;
-        for (i, scale) in c.scales_px.iter().enumerate() {
-            let iterations = if i == 0 { 1 } else { c.iterations };
-            for _ in 0..iterations {
-                pose = self.step(model, &pose, prior, term, *scale as f32)?;
+        let mut pose = *start;
+        for i in 0..self.config.scales_px.len() {
+            let scale_px = self.config.scales_px[i];
+            for _ in 0..if i == 0 { 1 } else { self.config.iterations } {
+                self.look(task.model, &pose, scale_px as f32);
+                let c = &self.config;
+                let weighing = Weighing {
+                    tukey_px: c.tukey_segments * scale_px,
+                    sigma_px: c.sigma_px,
+                    lines_per_error: c.lines_per_error,
+                };
+                pose = self.step(&pose, task.prior, &mut term, &weighing).0;
             }
         }
-        for _ in 0..c.edges {
-            project(model.view(&pose), &pose, &self.picture, false, &mut self.lines);
-            self.hiders.apply(&mut self.lines);
-            measure_edges(&mut self.lines, &self.picture, c.edge_noise);
-            let h = 1.0 / f64::from(self.picture.independence);
-            pose = self.solve(&pose, prior, term, c.edge_tukey * h, c.edge_sigma * h, c.edge_lines_per_error)?;
+        let mut information = Matrix6::zeros();
+        for _ in 0..self.config.edges {
+            self.place_lines(task.model, &pose);
+            measure_edges(&mut self.lines, &self.picture, self.config.edge_noise);
+            let c = &self.config;
+            let image_px = 1.0 / f64::from(self.picture.independence);
+            let weighing = Weighing {
+                tukey_px: c.edge_tukey_px * image_px,
+                sigma_px: c.edge_sigma_px * image_px,
+                lines_per_error: c.edges_per_error,
+            };
+            (pose, information) = self.step(&pose, task.prior, &mut term, &weighing);
         }
-        let last = *c.scales_px.last()? as f32;
-        self.look(model, &pose, last)?;
-        let score = self.lines.iter().filter(|l| l.weight > 0.0).map(|l| f64::from(l.here)).sum::<f64>()
-            / self.lines.len().max(1) as f64;
-        let lines: f64 = self
-            .lines
-            .iter()
-            .filter(|l| l.weight > 0.0)
-            .map(|l| -(0.9 * f64::from(l.here) + 0.1 / 12.0).ln() - (12.0_f64).ln())
-            .sum();
-        let cost = lines / c.lines_per_error + prior.cost(&pose) + term.cost(&pose);
-        Some(Region { cost, camera_from_object: pose, score, overlap: self.histograms.overlap() })
+        self.judge(task, &pose, information, start, term)
     }
 
-    fn look(&mut self, model: &ContourModel, pose: &Pose, scale_px: f32) -> Option<()> {
+    /// Makes the picture and looks whether there is a contour to speak of.
+    fn begin(&mut self, task: &Task<'_>, start: &Pose) -> RegionStatus {
+        let finite = start.translation.vector.iter().chain(start.rotation.coords.iter()).all(|v| v.is_finite());
+        if !finite {
+            return RegionStatus::NotFinite;
+        }
+        let (model, c) = (task.model, &self.config);
+        let around = (&model.centre_m(), model.radius_m());
+        if self.picture.fill(&task.image, start, around, c.object_px, c.margin).is_none() {
+            return RegionStatus::NotInView;
+        }
+        self.hiders.fill(task.hiders, model, start, &self.picture);
+        self.histograms.clear();
+        self.place_lines(model, start);
+        let used = self.used();
+        if used < self.config.min_lines {
+            return RegionStatus::NoContour { lines: used };
+        }
+        self.count_colours();
+        match self.histograms.renew(1.0) && self.histograms.overlap() <= self.config.max_overlap {
+            true => RegionStatus::Ok,
+            false => RegionStatus::OneColour { overlap: self.histograms.overlap() },
+        }
+    }
+
+    fn used(&self) -> usize {
+        self.lines.iter().filter(|l| l.weight > 0.0).count()
+    }
+
+    fn place_lines(&mut self, model: &ContourModel, pose: &Pose) {
         project(model.view(pose), pose, &self.picture, false, &mut self.lines);
         self.hiders.apply(&mut self.lines);
+    }
+
+    fn look(&mut self, model: &ContourModel, pose: &Pose, scale_px: f32) {
+        self.place_lines(model, pose);
         self.count_colours();
-        if !self.histograms.renew(self.config.renewal) {
-            return None;
-        }
+        // Where one side has no pixel any more, the colours of before stand.
+        self.histograms.renew(self.config.renewal);
         self.histograms.log_odds(&self.picture.bins, &mut self.log_odds);
         let reading = Reading {
             scale_px,
-            step: SmoothStep::new(self.config.amplitude, self.config.slope),
+            step: SmoothStep::new(self.config.amplitude),
             shortest: self.config.shortest,
-            evidence: self.config.evidence * self.picture.independence,
+            evidence: self.picture.independence,
         };
         measure(&mut self.lines, &self.log_odds, self.picture.size_px, &reading);
-        Some(())
     }
 
+    /// One Gauss-Newton step, and the Hessian that it was made with.
     fn step(
-        &mut self,
-        model: &ContourModel,
-        pose: &Pose,
-        prior: &Prior,
-        term: &mut dyn Term,
-        scale_px: f32,
-    ) -> Option<Pose> {
-        self.look(model, pose, scale_px)?;
-        let c = &self.config;
-        self.solve(pose, prior, term, c.tukey_px * f64::from(scale_px), c.sigma_px, c.lines_per_error)
-    }
-
-    fn solve(
         &self,
         pose: &Pose,
         prior: &Prior,
-        term: &mut dyn Term,
-        tukey_px: f64,
-        sigma_px: f64,
-        lines_per_error: f64,
-    ) -> Option<Pose> {
-        let mut hessian = Matrix6::zeros();
-        let mut gradient = Vector6::zeros();
-        let c = &self.config;
-        let (mut cross, mut own, mut pull) = (Vector6::zeros(), 0.0, 0.0);
-        for line in self.lines.iter().filter(|l| l.weight > 0.0) {
-            let variance = (f64::from(line.variance_px2) + sigma_px * sigma_px) * lines_per_error;
-            let mut w = f64::from(line.weight) / variance;
-            let r = -f64::from(line.mean_px + c.shift_px);
-            if tukey_px > 0.0 {
-                let width = tukey_px;
-                let s = (1.0 - (r / width).powi(2)).max(0.0);
-                w *= s * s;
-            }
-            let j = Vector6::from_fn(|i, _| f64::from(line.jacobian[i]));
-            hessian += w * j * j.transpose();
-            gradient += w * r * j;
-            cross += w * j;
-            own += w;
-            pull += w * r;
-        }
-        // An offset that all lines share, known to `common_px`: eliminated (Schur).
-        if c.common_px > 0.0 {
-            let sigma = c.common_px / f64::from(self.picture.independence);
-            let own = own + 1.0 / (sigma * sigma);
-            hessian -= cross * cross.transpose() / own;
-            gradient -= cross * (pull / own);
-        }
+        term: &mut Option<&mut dyn Term>,
+        weighing: &Weighing,
+    ) -> (Pose, Matrix6<f64>) {
+        let image_px = 1.0 / f64::from(self.picture.independence);
+        let (mut hessian, mut gradient) = line_equations(&self.lines, weighing, self.config.common_px * image_px);
         prior.accumulate(pose, &mut hessian, &mut gradient);
-        term.accumulate(pose, &mut hessian, &mut gradient);
-        let step = -hessian.cholesky()?.solve(&gradient);
-        step.iter().all(|v| v.is_finite()).then(|| retract(pose, &step))
+        if let Some(term) = term {
+            term.accumulate(pose, &mut hessian, &mut gradient);
+        }
+        // The prior makes it positive definite, unless a number is not finite.
+        let step = hessian.cholesky().map(|c| -c.solve(&gradient)).filter(|s| s.iter().all(|v| v.is_finite()));
+        (step.map_or(*pose, |s| retract(pose, &s)), hessian)
+    }
+
+    fn judge(
+        &mut self,
+        task: &Task<'_>,
+        pose: &Pose,
+        information: Matrix6<f64>,
+        start: &Pose,
+        term: Option<&mut dyn Term>,
+    ) -> Region {
+        let last = self.config.scales_px.last().copied().unwrap_or(1.0);
+        self.look(task.model, pose, last as f32);
+        let (used, overlap) = (self.used(), self.histograms.overlap());
+        let status = match used < self.config.min_lines {
+            true => RegionStatus::NoContour { lines: used },
+            false if overlap > self.config.max_overlap => RegionStatus::OneColour { overlap },
+            false => RegionStatus::Ok,
+        };
+        if status != RegionStatus::Ok {
+            return self.without_contour(task, start, status, term);
+        }
+        let here = || self.lines.iter().filter(|l| l.weight > 0.0).map(|l| f64::from(l.here));
+        // Relative to lines that know nothing, so that poses with more lines to be read do not pay for them.
+        let lines: f64 = here().map(|h| -((1.0 - STRAY) * PLACES * h + STRAY).ln()).sum();
+        let beyond = term.map_or(0.0, |t| t.cost(pose));
+        Region {
+            camera_from_object: *pose,
+            information,
+            cost: lines / self.config.lines_per_error + task.prior.cost(pose) + beyond,
+            agreement: (2.0 * here().sum::<f64>() / used as f64).min(1.0),
+            overlap,
+            lines: used,
+            status,
+        }
+    }
+
+    /// What prior and further term say by themselves.
+    fn without_contour(
+        &mut self,
+        task: &Task<'_>,
+        start: &Pose,
+        status: RegionStatus,
+        mut term: Option<&mut dyn Term>,
+    ) -> Region {
+        self.lines.clear();
+        self.picture.independence = 1.0;
+        let weighing = Weighing { tukey_px: 1.0, sigma_px: 1.0, lines_per_error: 1.0 };
+        let (mut pose, mut information) = (*start, Matrix6::zeros());
+        if term.is_some() && status != RegionStatus::NotFinite {
+            for _ in 0..STEPS_WITHOUT_CONTOUR {
+                (pose, information) = self.step(&pose, task.prior, &mut term, &weighing);
+            }
+        } else {
+            task.prior.accumulate(&pose, &mut information, &mut Vector6::zeros());
+        }
+        let cost = task.prior.cost(&pose) + term.map_or(0.0, |t| t.cost(&pose));
+        Region { camera_from_object: pose, information, cost, agreement: 0.0, overlap: 1.0, lines: 0, status }
     }
 
     fn count_colours(&mut self) {
         let (from, to) = (self.config.colours_from_px, self.config.colours_to_px);
         self.histograms.begin();
-        let size = self.picture.size_px as i32;
+        let steps = |reach: f32| (reach.min(to) - from).max(0.0) as usize;
         for line in self.lines.iter().filter(|l| l.weight > 0.0) {
-            let steps = |reach: f32| ((reach.min(to) - from).max(0.0)) as usize;
-            let bin = |r: f32| {
-                let x = (line.at[0] + r * line.normal[0]).round() as i32;
-                let y = (line.at[1] + r * line.normal[1]).round() as i32;
-                let within = x >= 0 && y >= 0 && x < size && y < size;
-                if within { self.picture.bins[(y * size + x) as usize] } else { crate::histogram::NOWHERE }
-            };
+            let bin = |r: f32| self.picture.bin(line.at[0] + r * line.normal[0], line.at[1] + r * line.normal[1]);
             for s in 0..steps(line.inside_px) {
-                self.histograms.count_inside(bin(-from - s as f32 - 0.5), 1.0);
+                self.histograms.count_inside(bin(-from - s as f32 - 0.5).unwrap_or(NOWHERE));
             }
             for s in 0..steps(line.outside_px) {
-                self.histograms.count_outside(bin(from + s as f32 + 0.5), 1.0);
+                self.histograms.count_outside(bin(from + s as f32 + 0.5).unwrap_or(NOWHERE));
             }
         }
     }
+}
+
+/// Steps of Gauss-Newton where only prior and further term are there.
+const STEPS_WITHOUT_CONTOUR: usize = 10;
+
+/// Hessian and gradient of the lines, each with its variance under Tukey's loss. An offset that all lines share, of standard
+/// deviation `common_px`, is eliminated (Schur complement): without it many lines would claim to know the scale, and with it
+/// the depth, far better than blur and mesh allow.
+fn line_equations(lines: &[Line], weighing: &Weighing, common_px: f64) -> (Matrix6<f64>, Vector6<f64>) {
+    let (mut hessian, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
+    let (mut cross, mut own, mut pull) = (Vector6::zeros(), 1.0 / (common_px * common_px), 0.0);
+    for line in lines.iter().filter(|l| l.weight > 0.0) {
+        let r = -f64::from(line.mean_px);
+        let s = (1.0 - (r / weighing.tukey_px).powi(2)).max(0.0);
+        let variance = f64::from(line.variance_px2) + weighing.sigma_px.powi(2);
+        let w = f64::from(line.weight) * s * s / (variance * weighing.lines_per_error);
+        let j = Vector6::from_fn(|i, _| f64::from(line.jacobian[i]));
+        hessian += w * j * j.transpose();
+        gradient += w * r * j;
+        cross += w * j;
+        own += w;
+        pull += w * r;
+    }
+    hessian -= cross * cross.transpose() / own;
+    gradient -= cross * (pull / own);
+    (hessian, gradient)
 }

@@ -2,7 +2,7 @@
 //! Prints ADD(-S)-0.1d, rotation and depth errors and CPU time. For research: the shipped path never sees the truth.
 #![allow(clippy::print_stdout)]
 
-use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, Refiner, RegionConfig, load_or_make};
+use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, Refiner, RegionConfig, Task, load_or_make};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::{BopScene, ObjectSet, RgbImage, list_scenes};
 use pseudoflow_metrics::{MatrixPose, ModelPoints, SceneTruth, add_m, adi_m};
@@ -92,7 +92,10 @@ fn main() -> Result<(), Failure> {
                 "occluded" => occluded = value.parse()?,
                 "occlusion" => occlusion = value.parse()?,
                 "truth_start" => truth_start = value.parse()?,
-                _ => json[key] = serde_json::from_str(value)?,
+                _ => {
+                    let place = key.split('.').fold(&mut json, |at, part| &mut at[part]);
+                    *place = serde_json::from_str(value)?;
+                }
             }
         }
         match variants.is_empty()
@@ -125,7 +128,7 @@ fn main() -> Result<(), Failure> {
         _ => bop_cases(dir, split, every)?,
     };
     for (name, json) in variants {
-        let mut refiner = Refiner::new(serde_json::from_value(json)?);
+        let mut refiner = Refiner::new(serde_json::from_value(json)?)?;
         println!("{name}");
         let (mut rows, mut spent, mut failed) = (Vec::new(), 0.0, 0);
         let mut refined: Vec<Option<Pose>> = vec![None; cases.len()];
@@ -159,16 +162,23 @@ fn main() -> Result<(), Failure> {
                 .collect();
             let hiders = if occlusion { hiders } else { Vec::new() };
             let begin = cpu_s();
-            let found = refiner.refine(&image, model, &case.rough, object.diameter_m, &hiders);
+            let prior = refiner.prior(&case.rough, model, object.diameter_m);
+            let mut task = Task { image, model, prior: &prior, hiders: &hiders };
+            let found = refiner.refine(&task, &case.rough, None);
             spent += cpu_s() - begin;
-            failed += usize::from(found.is_none());
-            let score = found.map_or(0.0, |f| f.score);
-            let found = found.map_or(case.rough, |f| f.camera_from_object);
+            failed += usize::from(!found.status.is_ok());
+            if !found.status.is_ok() {
+                println!("  object {}: {}", case.object_id, found.status);
+            }
+            let score = found.agreement;
+            let found = found.camera_from_object;
             refined[number] = Some(found);
             let stay = match truth_start {
-                true => refiner
-                    .refine(&image, model, &true_pose, object.diameter_m, &hiders)
-                    .map_or(true_pose, |f| f.camera_from_object),
+                true => {
+                    let prior = refiner.prior(&true_pose, model, object.diameter_m);
+                    task.prior = &prior;
+                    refiner.refine(&task, &true_pose, None).camera_from_object
+                }
                 false => true_pose,
             };
             let mut with_z = found;

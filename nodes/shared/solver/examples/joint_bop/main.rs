@@ -2,18 +2,17 @@
 //! Without flow files it writes crops and renderings there for a network to be run on. For research only.
 #![allow(clippy::print_stdout)]
 
-use pseudoflow_solver::{FlowField, JointConfig, JointSolver, PixelBuffer, PnpConfig};
-use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, , load_or_make};
+use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, load_or_make};
 use pseudoflow_geometry::{Crop, Intrinsics, Pose};
-use pseudoflow_imaging::raster::{SoftwareRasteriser, Rasteriser, View};
+use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View};
 use pseudoflow_imaging::resample;
 use pseudoflow_imaging::{BopScene, ObjectSet, RgbImage, list_scenes};
 use pseudoflow_metrics::{MatrixPose, ModelPoints, SceneTruth, add_m, adi_m};
+use pseudoflow_solver::{FlowEvidence, FlowField, JointConfig, JointSolver, JointTask, PixelBuffer, PnpConfig};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
-
 
 /// One instance with its truth.
 pub(crate) struct Case {
@@ -99,8 +98,8 @@ fn main() -> Result<(), Failure> {
                 "occlusion" => occlusion = value.parse()?,
                 "truth_start" => truth_start = value.parse()?,
                 _ => {
-                    let (part, field) = key.split_once('.').ok_or("part.field")?;
-                    json[part][field] = serde_json::from_str(value)?;
+                    let place = key.split('.').fold(&mut json, |at, part| &mut at[part]);
+                    *place = serde_json::from_str(value)?;
                 }
             }
         }
@@ -142,7 +141,8 @@ fn main() -> Result<(), Failure> {
         let object = set.get(case.object_id)?;
         let crop = Crop::around(&object.hull_m, &case.rough, &case.intrinsics, 1.1, SIZE).ok_or("crop")?;
         let k = crop.intrinsics(&case.intrinsics);
-        let view = View { object_id: object.id, camera_from_object: case.rough, intrinsics: k, width: SIZE, height: SIZE };
+        let view =
+            View { object_id: object.id, camera_from_object: case.rough, intrinsics: k, width: SIZE, height: SIZE };
         let rendering = rasteriser.render(&[view])?.remove(0);
         let path = folder.join(format!("{i:04}.flow"));
         let flow: Vec<f32> = match std::fs::read(&path) {
@@ -162,13 +162,14 @@ fn main() -> Result<(), Failure> {
     }
     for (name, json) in variants {
         let config: JointConfig = serde_json::from_value(json)?;
-    let mut solver = JointSolver::new(config, PnpConfig::default())?;
-    let mut buffer = PixelBuffer::new();
-    let (mut flow_only, mut from_pnp) = (0, 0);
+        let mut solver = JointSolver::new(config, PnpConfig::default())?;
+        let mut buffer = PixelBuffer::new();
+        let mut flow_only = 0;
+        let mut distances: Vec<f64> = Vec::new();
         println!("{name}");
         let (mut rows, mut spent, mut failed) = (Vec::new(), 0.0, 0);
         let mut refined: Vec<Option<Pose>> = vec![None; cases.len()];
-    for (number, (case, (k, rendering, flow))) in cases.iter().zip(&prepared).enumerate() {
+        for (number, (case, (k, rendering, flow))) in cases.iter().zip(&prepared).enumerate() {
             let (object, (model, points)) = (set.get(case.object_id)?, &models[&case.object_id]);
             let truth: MatrixPose = case.truth;
             let true_pose = truth.pose();
@@ -188,28 +189,57 @@ fn main() -> Result<(), Failure> {
                 ]
             };
             let hiders: Vec<Hider<'_>> = cases
-            .iter()
-            .enumerate()
-            .filter(|(i, c)| Rc::ptr_eq(&c.image, &case.image) && *i != number)
-            .map(|(i, c)| Hider { model: &models[&c.object_id].0, camera_from_object: refined[i].unwrap_or(c.rough) })
-            .collect();
-        let hiders = if occlusion { hiders } else { Vec::new() };
-        let begin = cpu_s();
-            let found = refiner.refine(&image, model, &case.rough, object.diameter_m, &hiders);
+                .iter()
+                .enumerate()
+                .filter(|(i, c)| Rc::ptr_eq(&c.image, &case.image) && *i != number)
+                .map(|(i, c)| Hider {
+                    model: &models[&c.object_id].0,
+                    camera_from_object: refined[i].unwrap_or(c.rough),
+                })
+                .collect();
+            let hiders = if occlusion { hiders } else { Vec::new() };
+            let begin = cpu_s();
+            let field = FlowField {
+                size_px: SIZE as usize,
+                depth_m: &rendering.depth_m,
+                mask: &rendering.mask,
+                flow_px: flow,
+                intrinsics: *k,
+                camera_from_object: case.rough,
+            };
+            let correspondences = buffer.fill(&field, usize::MAX)?;
+            let flow =
+                (mode != "region").then_some(FlowEvidence { correspondences, intrinsics: *k, size_px: SIZE as usize });
+            let (model, diameter_m, hiders) = (model, object.diameter_m, &hiders[..]);
+            let mut task = JointTask { image, model, diameter_m, rough: case.rough, hiders, flow };
+            let joint = solver.solve(&task, 1);
+            let pnp = joint.pnp.as_ref().map_or(case.rough, |p| p.camera_from_object);
+            flow_only += usize::from(errors(&pnp)[3] > 0.0);
+            if object.symmetries.is_trivial() {
+                let c = nalgebra::Matrix6::from_row_slice(&joint.covariance);
+                let turn = (true_pose.rotation * joint.camera_from_object.rotation.inverse()).scaled_axis();
+                let shift = true_pose.translation.vector - joint.camera_from_object.translation.vector;
+                let e = nalgebra::Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+                let d2 = e.dot(&(c.try_inverse().unwrap_or_default() * e));
+                distances.push(d2);
+            }
+            let mut found = Some(joint.region);
+            if mode == "flow" {
+                found = found.map(|f| pseudoflow_contour::Region { camera_from_object: pnp, ..f });
+            }
             spent += cpu_s() - begin;
-            failed += usize::from(found.is_none());
-            let score = found.map_or(0.0, |f| f.score);
+            failed += usize::from(found.is_some_and(|f| !f.status.is_ok()));
+            let score = found.map_or(0.0, |f| f.agreement);
             let found = found.map_or(case.rough, |f| f.camera_from_object);
             refined[number] = Some(found);
-        let stay = match truth_start {
-            true => {
-                let used = Some((&correspondences, k, SIZE as usize));
-                let joint = solver.solve(&image, model, &true_pose, object.diameter_m, &hiders, used, 1);
-                joint.region.map_or(true_pose, |r| r.camera_from_object)
-            }
-            false => true_pose,
-        };
-        let mut with_z = found;
+            let stay = match truth_start {
+                true => {
+                    task.rough = true_pose;
+                    solver.solve(&task, 1).camera_from_object
+                }
+                false => true_pose,
+            };
+            let mut with_z = found;
             with_z.translation.vector *= (true_pose * object.box_centre_m()).z / (found * object.box_centre_m()).z;
             rows.push(Row {
                 object: case.object_id,
@@ -231,7 +261,12 @@ fn main() -> Result<(), Failure> {
         );
         let auc = auc(&rows);
         println!(
-            "  flow alone {flow_only}, from pnp {from_pnp}; {:.2} ms each, {failed} failed, models in {built:.1} s, score AUC {auc:.3}, visible {:.2}",
+            "  flow alone {flow_only}, inside 95 %: {:.3}, median d2 {:.1}; {:.2} ms each, {failed} failed, models in {built:.1} s, score AUC {auc:.3}, visible {:.2}",
+            distances.iter().filter(|d| **d < 12.59).count() as f64 / distances.len().max(1) as f64,
+            {
+                distances.sort_by(f64::total_cmp);
+                distances.get(distances.len() / 2).copied().unwrap_or(f64::NAN)
+            },
             1e3 * spent / rows.len() as f64,
             rows.iter().map(|r| r.visible).sum::<f64>() / rows.len() as f64
         );
