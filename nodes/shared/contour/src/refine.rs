@@ -99,9 +99,44 @@ impl Refiner {
         Prior::new(&self.config.prior, rough, model, diameter_m)
     }
 
-    /// Refines `start` by contour and prior, and by `term` if there is one.
-    pub fn refine(&mut self, task: &Task<'_>, start: &Pose, mut term: Option<&mut dyn Term>) -> Region {
-        let status = self.begin(task, start);
+    /// The pose of least cost by contour and prior, and by `term` if there is one, that steps from any of `starts` come to;
+    /// a start whose contour says something goes before one whose contour does not.
+    ///
+    /// # Panics
+    /// When there is no start.
+    pub fn refine(&mut self, task: &Task<'_>, starts: &[Pose], mut term: Option<&mut dyn Term>) -> Region {
+        let seen = self.open(task);
+        let mut best: Option<Region> = None;
+        for start in starts {
+            let found = match seen {
+                RegionStatus::Ok => self.descend(task, start, &mut term),
+                unseen => self.without_contour(task, start, unseen, &mut term),
+            };
+            let better = |b: &Region| (!found.status.is_ok(), found.cost) < (!b.status.is_ok(), b.cost);
+            if best.as_ref().is_none_or(better) {
+                best = Some(found);
+            }
+        }
+        best.expect("at least one start")
+    }
+
+    /// Makes the picture around the rough pose.
+    fn open(&mut self, task: &Task<'_>) -> RegionStatus {
+        let rough = &task.prior.camera_from_object;
+        if !is_finite(rough) {
+            return RegionStatus::NotFinite;
+        }
+        let (model, c) = (task.model, &self.config);
+        let around = (&model.centre_m(), model.radius_m());
+        if self.picture.fill(&task.image, rough, around, c.object_px, c.margin).is_none() {
+            return RegionStatus::NotInView;
+        }
+        self.hiders.fill(task.hiders, model, rough, &self.picture);
+        RegionStatus::Ok
+    }
+
+    fn descend(&mut self, task: &Task<'_>, start: &Pose, term: &mut Option<&mut dyn Term>) -> Region {
+        let status = self.begin(task.model, start);
         if status != RegionStatus::Ok {
             return self.without_contour(task, start, status, term);
         }
@@ -116,7 +151,7 @@ impl Refiner {
                     sigma_px: c.sigma_px,
                     lines_per_error: c.lines_per_error,
                 };
-                pose = self.step(&pose, task.prior, &mut term, &weighing).0;
+                pose = self.step(&pose, task.prior, term, &weighing).0;
             }
         }
         let mut information = Matrix6::zeros();
@@ -130,23 +165,16 @@ impl Refiner {
                 sigma_px: c.edge_sigma_px * image_px,
                 lines_per_error: c.edges_per_error,
             };
-            (pose, information) = self.step(&pose, task.prior, &mut term, &weighing);
+            (pose, information) = self.step(&pose, task.prior, term, &weighing);
         }
         self.judge(task, &pose, information, start, term)
     }
 
-    /// Makes the picture and looks whether there is a contour to speak of.
-    fn begin(&mut self, task: &Task<'_>, start: &Pose) -> RegionStatus {
-        let finite = start.translation.vector.iter().chain(start.rotation.coords.iter()).all(|v| v.is_finite());
-        if !finite {
+    /// Looks whether there is a contour to speak of.
+    fn begin(&mut self, model: &ContourModel, start: &Pose) -> RegionStatus {
+        if !is_finite(start) {
             return RegionStatus::NotFinite;
         }
-        let (model, c) = (task.model, &self.config);
-        let around = (&model.centre_m(), model.radius_m());
-        if self.picture.fill(&task.image, start, around, c.object_px, c.margin).is_none() {
-            return RegionStatus::NotInView;
-        }
-        self.hiders.fill(task.hiders, model, start, &self.picture);
         self.histograms.clear();
         self.place_lines(model, start);
         let used = self.used();
@@ -192,7 +220,7 @@ impl Refiner {
         term: &mut Option<&mut dyn Term>,
         weighing: &Weighing,
     ) -> (Pose, Matrix6<f64>) {
-        let image_px = 1.0 / f64::from(self.picture.independence);
+        let image_px = 1.0 / f64::from(self.picture.independence).max(1e-3);
         let (mut hessian, mut gradient) = line_equations(&self.lines, weighing, self.config.common_px * image_px);
         prior.accumulate(pose, &mut hessian, &mut gradient);
         if let Some(term) = term {
@@ -209,7 +237,7 @@ impl Refiner {
         pose: &Pose,
         information: Matrix6<f64>,
         start: &Pose,
-        term: Option<&mut dyn Term>,
+        term: &mut Option<&mut dyn Term>,
     ) -> Region {
         let last = self.config.scales_px.last().copied().unwrap_or(1.0);
         self.look(task.model, pose, last as f32);
@@ -225,7 +253,7 @@ impl Refiner {
         let here = || self.lines.iter().filter(|l| l.weight > 0.0).map(|l| f64::from(l.here));
         // Relative to lines that know nothing, so that poses with more lines to be read do not pay for them.
         let lines: f64 = here().map(|h| -((1.0 - STRAY) * PLACES * h + STRAY).ln()).sum();
-        let beyond = term.map_or(0.0, |t| t.cost(pose));
+        let beyond = term.as_mut().map_or(0.0, |t| t.cost(pose));
         Region {
             camera_from_object: *pose,
             information,
@@ -243,20 +271,19 @@ impl Refiner {
         task: &Task<'_>,
         start: &Pose,
         status: RegionStatus,
-        mut term: Option<&mut dyn Term>,
+        term: &mut Option<&mut dyn Term>,
     ) -> Region {
         self.lines.clear();
-        self.picture.independence = 1.0;
         let weighing = Weighing { tukey_px: 1.0, sigma_px: 1.0, lines_per_error: 1.0 };
         let (mut pose, mut information) = (*start, Matrix6::zeros());
         if term.is_some() && status != RegionStatus::NotFinite {
             for _ in 0..STEPS_WITHOUT_CONTOUR {
-                (pose, information) = self.step(&pose, task.prior, &mut term, &weighing);
+                (pose, information) = self.step(&pose, task.prior, term, &weighing);
             }
         } else {
             task.prior.accumulate(&pose, &mut information, &mut Vector6::zeros());
         }
-        let cost = task.prior.cost(&pose) + term.map_or(0.0, |t| t.cost(&pose));
+        let cost = task.prior.cost(&pose) + term.as_mut().map_or(0.0, |t| t.cost(&pose));
         Region { camera_from_object: pose, information, cost, agreement: 0.0, overlap: 1.0, lines: 0, status }
     }
 
@@ -274,6 +301,10 @@ impl Refiner {
             }
         }
     }
+}
+
+fn is_finite(pose: &Pose) -> bool {
+    pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|v| v.is_finite())
 }
 
 /// Steps of Gauss-Newton where only prior and further term are there.

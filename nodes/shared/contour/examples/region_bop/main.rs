@@ -164,7 +164,7 @@ fn main() -> Result<(), Failure> {
             let begin = cpu_s();
             let prior = refiner.prior(&case.rough, model, object.diameter_m);
             let mut task = Task { image, model, prior: &prior, hiders: &hiders };
-            let found = refiner.refine(&task, &case.rough, None);
+            let found = refiner.refine(&task, &[case.rough], None);
             spent += cpu_s() - begin;
             failed += usize::from(!found.status.is_ok());
             if !found.status.is_ok() {
@@ -177,7 +177,7 @@ fn main() -> Result<(), Failure> {
                 true => {
                     let prior = refiner.prior(&true_pose, model, object.diameter_m);
                     task.prior = &prior;
-                    refiner.refine(&task, &true_pose, None).camera_from_object
+                    refiner.refine(&task, &[true_pose], None).camera_from_object
                 }
                 false => true_pose,
             };

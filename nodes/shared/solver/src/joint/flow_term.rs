@@ -24,7 +24,7 @@ pub struct FlowConfig {
 
 impl Default for FlowConfig {
     fn default() -> Self {
-        Self { max_points: 800, correlation_px: 40.0, least_px: 1.0, most_px: 12.0, tukey_width: 4.0 }
+        Self { max_points: 800, correlation_px: 110.0, least_px: 1.0, most_px: 12.0, tukey_width: 4.0 }
     }
 }
 

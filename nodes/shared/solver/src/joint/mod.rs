@@ -113,7 +113,7 @@ impl JointSolver {
         let prior = self.refiner.prior(&task.rough, task.model, task.diameter_m);
         let contour = Task { image: task.image, model: task.model, prior: &prior, hiders: task.hiders };
         let Some(flow) = &task.flow else {
-            let region = self.refiner.refine(&contour, &task.rough, None);
+            let region = self.refiner.refine(&contour, &[task.rough], None);
             return self.result(region, None, None);
         };
         let pnp = self.pnp.solve(&flow.correspondences, &flow.intrinsics, &task.rough, seed);
@@ -133,15 +133,10 @@ impl JointSolver {
         let all = self.points.fill(&flow.correspondences, self.config.flow.max_points);
         let size = (all, flow.size_px);
         let mut term = FlowTerm::new(&self.points, &flow.intrinsics, &self.config.flow, size, &mut self.errors);
-        let from_rough = self.refiner.refine(contour, rough, Some(&mut term as &mut dyn Term));
-        // Flow may know a way that is too far for the contour.
-        let far = prior.distance2(&pnp.camera_from_object) < FARTHEST2;
-        if !(pnp.status.is_ok() && far) {
-            return from_rough;
-        }
-        let from_flow = self.refiner.refine(contour, &pnp.camera_from_object, Some(&mut term as &mut dyn Term));
-        let better = from_flow.status.is_ok() >= from_rough.status.is_ok() && from_flow.cost < from_rough.cost;
-        if better { from_flow } else { from_rough }
+        let starts = [*rough, pnp.camera_from_object];
+        // Flow may know a way that is too far for the contour, and may be lost altogether.
+        let near = pnp.status.is_ok() && prior.distance2(&pnp.camera_from_object) < FARTHEST2;
+        self.refiner.refine(contour, &starts[..if near { 2 } else { 1 }], Some(&mut term as &mut dyn Term))
     }
 
     fn inlier_ratio(&self, pose: &Pose, flow: &FlowEvidence<'_>) -> f64 {
