@@ -12,13 +12,14 @@ pub struct NetworkWeightsHeader {
     pub step: u64,
     /// Frames between two publications.
     pub frames_per_version: u64,
-    /// Bytes of the ONNX file.
-    pub onnx_bytes: u64,
+    /// Bytes of the weights.
+    pub weights_bytes: u64,
     /// Bytes of the publication before, 0 for none.
-    pub previous_onnx_bytes: u64,
+    pub previous_bytes: u64,
 }
 
-/// A flow network to swap in: a whole ONNX file, and the one before it.
+/// Weights of the flow network to swap in: a whole safetensors file, and the one before it. The flow node makes of them
+/// what its engine runs.
 ///
 /// A flow node in lockstep labels while the trainer trains: it wants the publication before the newest one, whether
 /// or not the newest has come already. Hence both.
@@ -28,18 +29,18 @@ pub struct NetworkWeightsHeader {
 pub struct NetworkWeights<'a> {
     /// Version and lengths.
     pub header: &'a NetworkWeightsHeader,
-    /// The ONNX file.
-    pub onnx: &'a [u8],
-    /// The ONNX file of the publication before.
-    pub previous_onnx: &'a [u8],
+    /// The safetensors file.
+    pub weights: &'a [u8],
+    /// That of the publication before.
+    pub previous: &'a [u8],
 }
 
 impl NetworkWeights<'_> {
     /// Bytes of a message with this header.
     #[must_use]
     pub fn byte_len(header: &NetworkWeightsHeader) -> usize {
-        let onnx = Length::default().and::<NetworkWeightsHeader>(1).and::<u8>(header.onnx_bytes as usize);
-        onnx.and::<u8>(header.previous_onnx_bytes as usize).bytes()
+        let weights = Length::default().and::<NetworkWeightsHeader>(1).and::<u8>(header.weights_bytes as usize);
+        weights.and::<u8>(header.previous_bytes as usize).bytes()
     }
 
     /// Writes a whole message.
@@ -47,16 +48,16 @@ impl NetworkWeights<'_> {
     /// # Panics
     /// When `bytes` is shorter than [`Self::byte_len`] or not aligned to 64 bytes, or a file has another length than
     /// the header says.
-    pub fn write(bytes: &mut [u8], header: NetworkWeightsHeader, onnx: &[u8], previous_onnx: &[u8]) {
+    pub fn write(bytes: &mut [u8], header: NetworkWeightsHeader, weights: &[u8], previous: &[u8]) {
         let mut writer = Writer::new(bytes);
         writer.one(header);
-        writer.array::<u8>(header.onnx_bytes as usize).copy_from_slice(onnx);
-        writer.array::<u8>(header.previous_onnx_bytes as usize).copy_from_slice(previous_onnx);
+        writer.array::<u8>(header.weights_bytes as usize).copy_from_slice(weights);
+        writer.array::<u8>(header.previous_bytes as usize).copy_from_slice(previous);
     }
 }
 
 impl Message for NetworkWeights<'static> {
-    const TYPE_NAME: &'static str = "NetworkWeights@2";
+    const TYPE_NAME: &'static str = "NetworkWeights@3";
     type View<'a> = NetworkWeights<'a>;
 
     fn view(bytes: &[u8]) -> Result<NetworkWeights<'_>, MalformedMessage> {
@@ -64,8 +65,8 @@ impl Message for NetworkWeights<'static> {
         let header = reader.one::<NetworkWeightsHeader>("header")?;
         Ok(NetworkWeights {
             header,
-            onnx: reader.array("onnx", header.onnx_bytes as usize)?,
-            previous_onnx: reader.array("previous_onnx", header.previous_onnx_bytes as usize)?,
+            weights: reader.array("weights", header.weights_bytes as usize)?,
+            previous: reader.array("previous", header.previous_bytes as usize)?,
         })
     }
 }

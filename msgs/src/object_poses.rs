@@ -74,13 +74,15 @@ pub struct ObjectPose {
     pub status: u32,
     /// A [`PoseSource`].
     pub source: u32,
-    /// Confidence in 0..1: the inlier ratio of a refined pose, the source's own score otherwise.
+    /// Confidence in 0..1. Of what pnp has solved: the probability, learnt on synthetic pairs, that ADD(-S) is below a tenth of
+    /// the diameter; 0 where it could not solve. Else the source's own score.
     pub score: f64,
     /// Rotation of `camera_from_object`, unit quaternion x, y, z, w.
     pub rotation_xyzw: [f64; 4],
     /// Translation of `camera_from_object`, metres.
     pub translation_m: [f64; 3],
-    /// Row-major 6 x 6, order x, y, z (m), rotation about x, y, z (rad), fixed camera axes; zero where unknown.
+    /// Row-major 6 x 6, order x, y, z (m), rotation about x, y, z (rad), fixed camera axes; zero where unknown. Of a refined pose
+    /// scaled such that its 95 % ellipsoid held 95 % of the truths of synthetic pairs.
     pub covariance: [f64; 36],
 }
 

@@ -30,7 +30,6 @@ fn start(out: &Path) -> Child {
         "renderer.size_px=64".into(),
         "flow.size_px=64".into(),
         "flow.iterations=4".into(),
-        "trainer.iterations=4".into(),
         "flow.lockstep={frames_per_step: 2, publish_every: 1}".into(),
         "consistency.tau_px_at_256=16".into(),
         "window=6".into(),

@@ -66,6 +66,27 @@ fn unknown_keys_and_files_that_are_not_there() {
 }
 
 #[test]
+fn devices_that_are_not_there_or_no_devices() {
+    for (device, words) in [("vulkan:999", "vulkan"), ("cuda:999", "cuda"), ("gpu", "vulkan:N")] {
+        let said = refused(&["bench", "--device", device]);
+        assert_says(&said, &[&format!("`{device}`"), words]);
+        let said = refused(&[
+            "pretrain",
+            "--objects",
+            "config/objects/tabletop",
+            "--device",
+            device,
+            "--out",
+            "x.safetensors",
+        ]);
+        assert_says(&said, &[&format!("`{device}`"), words]);
+        assert!(!common::root().join("x.run.json").exists(), "nothing is written before the device is open");
+    }
+    let said = check_with("flow.device=gpu");
+    assert_says(&said, &["gpu", "vulkan:N"]);
+}
+
+#[test]
 fn damaged_empty_and_foreign_bags() {
     let folder = tempfile::tempdir().expect("a folder");
     let whole = std::fs::read(demo_bag()).expect("the demo bag");

@@ -4,9 +4,12 @@
 pub(crate) mod ablate;
 pub(crate) mod adapt;
 pub(crate) mod bag;
+pub(crate) mod bench;
+pub(crate) mod calibrate;
 pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod export;
+mod frames;
 pub(crate) mod pretrain;
 pub(crate) mod run;
 

@@ -35,8 +35,12 @@ enum Command {
     Adapt(commands::adapt::Args),
     /// Trains once for every row of a table and every seed, and scores what came out.
     Ablate(commands::ablate::Args),
+    /// Learns from synthetic images when refined poses can be believed.
+    Calibrate(commands::calibrate::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
+    /// Times a training step and a look on a device.
+    Bench(commands::bench::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
     Eval(commands::eval::Args),
     /// Shows the difference of two reports, object by object.
@@ -62,8 +66,8 @@ fn registry() -> Registry {
 }
 
 /// Quiet libraries: RustDDS calls each datagram that it cannot use an error.
-const LOG_FILTER: &str =
-    "info,rustdds=off,ros2_client=error,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,ort=warn";
+const LOG_FILTER: &str = "info,rustdds=off,ros2_client=error,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,\
+    ort=warn,cubecl=warn,burn=warn";
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or(LOG_FILTER)).init();
@@ -86,7 +90,9 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Node(args) => commands::run::node(&args),
         Command::Pretrain(args) => commands::pretrain::run(&args),
         Command::Adapt(args) => commands::adapt::run(&args),
+        Command::Calibrate(args) => commands::calibrate::run(&args),
         Command::Export(args) => commands::export::run(&args),
+        Command::Bench(args) => commands::bench::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
         Command::Compare(args) => commands::eval::compare(&args),
         Command::Bag(command) => commands::bag::run(&command),

@@ -8,7 +8,7 @@ use pseudoflow_msgs::{
     AlignedBytes, CameraFrame, CameraFrameHeader, FlowFields, FrameKey, Message, ObjectPose, ObjectPoses,
     ReferenceViews,
 };
-use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
+use pseudoflow_pnp::{Look, PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use std::time::{Duration, Instant};
@@ -39,9 +39,9 @@ pub(crate) struct Pipeline {
     context: Context,
 }
 
-/// Poses after each pass, and the time of each stage.
+/// What came out of each pass, and the time of each stage.
 pub(crate) struct Refined {
-    pub(crate) passes: Vec<Vec<ObjectPose>>,
+    pub(crate) passes: Vec<Vec<Look>>,
     pub(crate) stages: [Duration; 3],
 }
 
@@ -81,8 +81,9 @@ impl Pipeline {
         let mut refined = Refined { passes: Vec::new(), stages: [Duration::ZERO; 3] };
         let mut poses = initial.to_vec();
         for _ in 0..self.passes {
-            poses = self.pass(frame, &poses, &mut refined.stages)?;
-            refined.passes.push(poses.clone());
+            let looks = self.pass(frame, &poses, &mut refined.stages)?;
+            poses = looks.iter().map(|look| look.pose).collect();
+            refined.passes.push(looks);
         }
         Ok(refined)
     }
@@ -109,24 +110,20 @@ impl Pipeline {
         Ok(judged.collect())
     }
 
-    fn pass(
-        &mut self,
-        frame: &Frame<'_>,
-        initial: &[ObjectPose],
-        stages: &mut [Duration; 3],
-    ) -> Result<Vec<ObjectPose>> {
+    fn pass(&mut self, frame: &Frame<'_>, initial: &[ObjectPose], stages: &mut [Duration; 3]) -> Result<Vec<Look>> {
         let mut messages = InMemory::new(FrameKey { index: frame.index, stamp_ns: 0 });
         messages.messages.push(("frame".into(), frame_message(frame)));
         messages.messages.push(("initial_poses".into(), poses_message(frame, initial)));
-        let steps: [(&str, &mut dyn Step); 3] =
-            [("renderer", &mut self.renderer), ("flow", &mut self.flow), ("pnp", &mut self.pnp)];
-        for ((name, step), time) in steps.into_iter().zip(stages) {
+        let steps: [(&str, &mut dyn Step); 2] = [("renderer", &mut self.renderer), ("flow", &mut self.flow)];
+        for ((name, step), time) in steps.into_iter().zip(stages.iter_mut()) {
             let start = Instant::now();
             step.step(&mut messages, &self.context).with_context(|| format!("node {name}"))?;
             *time += start.elapsed();
         }
-        let bytes = messages.messages.iter().find(|(port, _)| port == "poses").context("pnp sent no poses")?;
-        Ok(ObjectPoses::view(&bytes.1)?.poses.to_vec())
+        let start = Instant::now();
+        let looks = self.pnp.looks(&messages, &self.context).map_err(boxed).context("node pnp")?;
+        stages[2] += start.elapsed();
+        Ok(looks)
     }
 }
 

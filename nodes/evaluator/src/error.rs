@@ -95,6 +95,30 @@ pub enum EvalError {
         /// The names.
         names: Vec<String>,
     },
+    /// Details that cannot be told which estimates they belong to.
+    #[error("set `{set}` has {estimates} estimates and {details} details: give as many, or no details")]
+    Details {
+        /// Name of the set.
+        set: String,
+        /// Estimates.
+        estimates: usize,
+        /// Details.
+        details: usize,
+    },
+    /// An object to be left out that is not there.
+    #[error("object {object_id} cannot be left out of the report, which has the objects {known:?}")]
+    NotScored {
+        /// The object.
+        object_id: u32,
+        /// Objects of the report.
+        known: Vec<u32>,
+    },
+    /// All objects are to be left out.
+    #[error("without the objects {known:?} nothing is left of the report: leave out fewer")]
+    NothingLeft {
+        /// Objects of the report.
+        known: Vec<u32>,
+    },
     /// Two reports without a common instance.
     #[error("the two reports have no instance in common (datasets {a} and {b}): compare runs on the same images")]
     NothingInCommon {

@@ -1,24 +1,59 @@
-use crate::score::{Index, index, score_image};
+use crate::score::{Indexed, score_image};
 use crate::{EvalDataset, EvalError, InstanceErrors, ObjectInfo, Report, Scores, VsdDepth};
+use pseudoflow_geometry::Pose;
 use pseudoflow_metrics::Estimate;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Estimates under the name that their block in the report has: `init` and `refined`, or `estimate`.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct NamedEstimates {
     /// Name.
     pub name: String,
     /// Estimates.
     pub estimates: Vec<Estimate>,
+    /// What is known of each estimate beside its pose: as many as there are estimates, or none.
+    pub details: Vec<EstimateDetails>,
+}
+
+/// What a refiner says of an estimate beside its pose. Nothing of it changes a score.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct EstimateDetails {
+    /// Probability that ADD(-S) is below a tenth of the diameter, 0..1.
+    pub confidence: Option<f64>,
+    /// Row-major 6 x 6: x, y, z (m), rotation (rad), camera axes.
+    pub covariance: Option<[f64; 36]>,
+    /// The gate's decisions, pass after pass.
+    pub gate: Vec<GateStep>,
+}
+
+/// One decision of the gate, `camera_from_object`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GateStep {
+    /// The pose that the refinement began from.
+    pub before: Pose,
+    /// The refined pose, taken or not.
+    pub after: Pose,
+    /// Whether it was taken.
+    pub accepted: bool,
+    /// What the decision was made from, and the claimed probability that it is better (`better`).
+    pub evidence: BTreeMap<String, f64>,
+}
+
+impl NamedEstimates {
+    /// Estimates of which nothing more is known.
+    #[must_use]
+    pub fn new(name: &str, estimates: Vec<Estimate>) -> Self {
+        Self { name: name.to_owned(), estimates, details: Vec::new() }
+    }
 }
 
 /// Scores sets of estimates on a dataset, in parallel over images. `progress` is told the images done and their total,
 /// from any thread. The report depends on the input only.
 ///
 /// # Errors
-/// When names repeat, or a depth image cannot be read.
+/// When names repeat, details and estimates of a set differ in number, or a depth image cannot be read.
 pub fn evaluate(
     dataset: &EvalDataset,
     sets: &[NamedEstimates],
@@ -28,7 +63,11 @@ pub fn evaluate(
     if names.is_empty() || names.iter().enumerate().any(|(i, name)| names[..i].contains(name)) {
         return Err(EvalError::SetNames { names });
     }
-    let indices: Vec<Index> = sets.iter().map(|set| index(&set.estimates)).collect();
+    if let Some(set) = sets.iter().find(|s| !s.details.is_empty() && s.details.len() != s.estimates.len()) {
+        let (estimates, details) = (set.estimates.len(), set.details.len());
+        return Err(EvalError::Details { set: set.name.clone(), estimates, details });
+    }
+    let indices: Vec<Indexed> = sets.iter().map(Indexed::new).collect();
     let done = AtomicUsize::new(0);
     let of_image = |image| {
         let scored = score_image(dataset, image, &indices);
@@ -50,9 +89,13 @@ pub fn evaluate(
         objects: objects(dataset, &instances),
         instances,
         sets: names,
+        diagnosis: BTreeMap::new(),
+        object_diagnosis: BTreeMap::new(),
+        without: None,
     };
     for set in sets {
         add_scores(&mut report, dataset, set);
+        add_diagnosis(&mut report, &set.name);
     }
     report.notes.extend(vsd_note(report.vsd_depth));
     Ok(report)
@@ -113,6 +156,15 @@ fn add_scores(report: &mut Report, dataset: &EvalDataset, set: &NamedEstimates) 
             times.as_ref().map(|times| times.iter().filter(|(id, _)| id == object_id).map(|(_, ms)| *ms).collect());
         let scores = Scores::of(&of_object, its_times.as_deref());
         report.per_object.entry(*object_id).or_default().insert(set.name.clone(), scores);
+    }
+}
+
+fn add_diagnosis(report: &mut Report, set: &str) {
+    let all = report.diagnose(set, &|_| true);
+    report.diagnosis.insert(set.to_owned(), all);
+    for id in report.objects.keys().copied().collect::<Vec<_>>() {
+        let of_object = report.diagnose(set, &|i| i.object_id == id);
+        report.object_diagnosis.entry(id).or_default().insert(set.to_owned(), of_object);
     }
 }
 

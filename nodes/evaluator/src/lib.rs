@@ -4,12 +4,14 @@
 //!   scenes' initial poses, `pseudoflow_metrics::read_results` a result file.
 //! - [`evaluate`] scores sets of estimates by the rules of the BOP Challenge 2019 into a [`Report`]
 //!   (`report.json`, and with [`overlays`] a self-contained page).
+//! - [`Diagnosis`] says what is wrong: depth, rotation, visibility, the gate, confidence and covariance.
 //! - [`compare`] sets two reports against each other, with a paired bootstrap interval.
 //! - [`EvaluatorNode`] collects poses from the graph and scores them at the end.
 
 mod compare;
 mod dataset;
 mod depth;
+mod diagnosis;
 mod error;
 mod evaluate;
 mod html;
@@ -20,9 +22,12 @@ mod score;
 
 pub use compare::{Comparison, Difference, compare, compare_sets};
 pub use dataset::{EvalDataset, EvalImage, EvalModel, load_dataset};
+pub use diagnosis::{
+    Changes, ConfidenceBin, ConfidenceCalibration, Coverage, Diagnosis, GateCalibration, VISIBLE_BINS, VisibleBin,
+};
 pub use error::EvalError;
-pub use evaluate::{NamedEstimates, evaluate};
+pub use evaluate::{EstimateDetails, GateStep, NamedEstimates, evaluate};
 pub use node::{EvaluatorConfig, EvaluatorNode};
 pub use overlay::{OverlayCase, overlays};
-pub use report::{InstanceErrors, ObjectInfo, Report, Scores, VsdDepth};
+pub use report::{GateErrors, InstanceErrors, ObjectInfo, Report, Scores, VsdDepth, Without};
 pub use score::vsd_of_pair;

@@ -1,8 +1,8 @@
-use crate::{EvalDataset, EvalError, EvalImage, EvalModel, NamedEstimates, evaluate};
+use crate::{EstimateDetails, EvalDataset, EvalError, EvalImage, EvalModel, NamedEstimates, evaluate};
 use pseudoflow_geometry::{Intrinsics, pose_from_quaternion};
 use pseudoflow_imaging::{BopFrame, ObjectSet};
 use pseudoflow_metrics::{Estimate, KnownIds, SceneTruth, TruthInstance, VISIB_GT_MIN};
-use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses};
+use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses, PoseSource};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -52,12 +52,17 @@ struct PoseLine {
     score: f64,
     rotation_xyzw: [f64; 4],
     translation_m: [f64; 3],
+    /// Of a refined pose whose covariance is known: 36 numbers.
+    #[serde(default)]
+    covariance: Vec<f64>,
 }
 
 impl From<&ObjectPose> for PoseLine {
     fn from(pose: &ObjectPose) -> Self {
         let ObjectPose { object_id, status, score, rotation_xyzw, translation_m, .. } = *pose;
-        Self { object_id, status, score, rotation_xyzw, translation_m }
+        let known = pose.source == PoseSource::Refined as u32 && pose.covariance[0] > 0.0;
+        let covariance = if known { pose.covariance.to_vec() } else { Vec::new() };
+        Self { object_id, status, score, rotation_xyzw, translation_m, covariance }
     }
 }
 
@@ -166,9 +171,11 @@ fn dataset(config: &EvaluatorConfig, frames: &[FrameLine]) -> Result<(EvalDatase
                 estimates.push(estimate(frame, pose)?);
             }
         }
-        Ok(NamedEstimates { name: name.into(), estimates })
+        Ok(NamedEstimates::new(name, estimates))
     };
-    let sets = vec![set("init", &|f| &f.initial)?, set("refined", &|f| &f.refined)?];
+    let details = frames.iter().flat_map(|f| f.refined.iter().map(details)).collect();
+    let refined = NamedEstimates { details, ..set("refined", &|f| &f.refined)? };
+    let sets = vec![set("init", &|f| &f.initial)?, refined];
     let name = |path: &Path| path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let known = KnownIds {
         objects: objects.ids().into_iter().collect(),
@@ -203,6 +210,11 @@ fn image(frame: &FrameLine, truth: Vec<TruthInstance>) -> EvalImage {
         initial_poses: Vec::new(),
     };
     EvalImage { scene_id: frame.scene_id, frame: frame_files, size_px: frame.size_px, truth, valid, targets }
+}
+
+fn details(pose: &PoseLine) -> EstimateDetails {
+    let covariance = pose.covariance.as_slice().try_into().ok();
+    EstimateDetails { confidence: Some(pose.score), covariance, gate: Vec::new() }
 }
 
 fn estimate(frame: &FrameLine, pose: &PoseLine) -> Result<Estimate, NodeError> {

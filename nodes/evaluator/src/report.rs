@@ -1,4 +1,4 @@
-use crate::EvalError;
+use crate::{Diagnosis, EvalError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -24,6 +24,35 @@ pub struct Report {
     pub objects: BTreeMap<u32, ObjectInfo>,
     /// Errors of every true instance, by set; the same instances in the same order in each.
     pub instances: BTreeMap<String, Vec<InstanceErrors>>,
+    /// What is wrong, over all instances, by set.
+    #[serde(default)]
+    pub diagnosis: BTreeMap<String, Diagnosis>,
+    /// What is wrong, by object id and set.
+    #[serde(default)]
+    pub object_diagnosis: BTreeMap<u32, BTreeMap<String, Diagnosis>>,
+    /// The same once more without some objects ([`Report::leave_out`]).
+    #[serde(default)]
+    pub without: Option<Without>,
+}
+
+/// What a report says without some objects, whose meshes, say, are too coarse to judge by.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Without {
+    /// The objects that are left out.
+    pub objects: Vec<u32>,
+    /// Scores by set.
+    pub overall: BTreeMap<String, Scores>,
+    /// What is wrong, by set.
+    pub diagnosis: BTreeMap<String, Diagnosis>,
+}
+
+impl Without {
+    /// E.g. `all but 7`.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let ids: Vec<String> = self.objects.iter().map(u32::to_string).collect();
+        format!("all but {}", ids.join(", "))
+    }
 }
 
 /// An object of a report.
@@ -128,6 +157,21 @@ pub struct InstanceErrors {
     /// Intersection over union of the boxes around the projections of estimate and truth.
     #[serde(default)]
     pub box_overlap: Option<f64>,
+    /// Depth of the middle of the estimated bounding box minus that of the true one, diameters: positive is too far.
+    #[serde(default)]
+    pub depth_of_diameter: Option<f64>,
+    /// ADD(-S) with the estimate moved along the viewing ray of that middle to its true depth, diameters.
+    #[serde(default)]
+    pub add_s_true_depth_of_diameter: Option<f64>,
+    /// The estimate's own confidence, 0..1.
+    #[serde(default)]
+    pub confidence: Option<f64>,
+    /// Squared Mahalanobis distance of the truth under the estimate's covariance: of the pose, its translation, its rotation.
+    #[serde(default)]
+    pub mahalanobis2: Option<[f64; 3]>,
+    /// The gate's decisions on the way to the estimate, pass after pass.
+    #[serde(default)]
+    pub gate: Vec<GateErrors>,
     /// Whether found with ADD(-S) below a tenth of the diameter.
     pub add_s_correct: bool,
     /// Whether found at each threshold of MSSD.
@@ -136,6 +180,20 @@ pub struct InstanceErrors {
     pub mspd_met: [bool; 10],
     /// For each threshold of VSD, at how many of the 10 tolerances it was found.
     pub vsd_met: [u32; 10],
+}
+
+/// A decision of the gate and what hung on it: ADD(-S) in diameters.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct GateErrors {
+    /// Of the pose that the refinement began from.
+    pub before_of_diameter: f64,
+    /// Of the refined pose, taken or not.
+    pub after_of_diameter: f64,
+    /// Whether it was taken.
+    pub accepted: bool,
+    /// What the decision was made from, and the claimed probability that it is better (`better`).
+    #[serde(default)]
+    pub evidence: BTreeMap<String, f64>,
 }
 
 impl InstanceErrors {
@@ -216,7 +274,7 @@ impl Scores {
 /// What a detector must find.
 const WELL_VISIBLE: f64 = 0.6;
 
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+pub(crate) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut sorted: Vec<f64> = values.collect();
     sorted.sort_by(f64::total_cmp);
     let middle = sorted.len() / 2;
@@ -244,6 +302,40 @@ impl Report {
     pub fn write_json(&self, path: &Path) -> Result<(), EvalError> {
         let text = serde_json::to_string(self).map_err(|source| EvalError::Json { path: path.to_owned(), source })?;
         std::fs::write(path, text + "\n").map_err(EvalError::io(path))
+    }
+
+    /// Adds what the report says without some objects: [`Report::without`].
+    ///
+    /// # Errors
+    /// [`EvalError::NotScored`] when an object has no instance here, or nothing would be left.
+    pub fn leave_out(&mut self, objects: &[u32]) -> Result<(), EvalError> {
+        let known: Vec<u32> = self.objects.keys().copied().collect();
+        if let Some(id) = objects.iter().find(|id| !known.contains(id)) {
+            return Err(EvalError::NotScored { object_id: *id, known });
+        }
+        if known.iter().all(|id| objects.contains(id)) {
+            return Err(EvalError::NothingLeft { known });
+        }
+        let stays = |i: &InstanceErrors| !objects.contains(&i.object_id);
+        let (mut overall, mut diagnosis) = (BTreeMap::new(), BTreeMap::new());
+        for set in &self.sets {
+            let these: Vec<&InstanceErrors> = self.instances_of(set).filter(|i| stays(i)).collect();
+            overall.insert(set.clone(), Scores::of(&these, None));
+            diagnosis.insert(set.clone(), self.diagnose(set, &stays));
+        }
+        self.without = Some(Without { objects: objects.to_vec(), overall, diagnosis });
+        Ok(())
+    }
+
+    fn instances_of(&self, set: &str) -> impl Iterator<Item = &InstanceErrors> {
+        self.instances.get(set).into_iter().flatten()
+    }
+
+    /// What is wrong with some instances of a set.
+    pub(crate) fn diagnose(&self, set: &str, which: &dyn Fn(&InstanceErrors) -> bool) -> Diagnosis {
+        let of = |set: &str| self.instances_of(set).filter(|i| which(i)).collect::<Vec<_>>();
+        let first = self.sets.first().filter(|first| *first != set);
+        Diagnosis::of(&of(set), &first.map(|first| of(first)).unwrap_or_default())
     }
 
     /// Dataset and split, e.g. `ycbv-test`.

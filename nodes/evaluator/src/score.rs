@@ -1,10 +1,14 @@
 use crate::depth::{Depths, TestDepth};
-use crate::{EvalDataset, EvalError, EvalImage, EvalModel, InstanceErrors};
+use crate::evaluate::GateStep;
+use crate::{
+    EstimateDetails, EvalDataset, EvalError, EvalImage, EvalModel, GateErrors, InstanceErrors, NamedEstimates,
+};
 use nalgebra::Point3;
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_metrics::{
-    Estimate, MatrixPose, add_m, add_threshold_m, adi_m, match_greedy, mspd_px, mspd_scale, mspd_thresholds, mssd_m,
-    mssd_thresholds, projection_px, rotation_error_rad, translation_error_m, vsd_thresholds, within_5cm_5deg,
+    Estimate, MatrixPose, add_m, add_threshold_m, adi_m, mahalanobis2, match_greedy, mspd_px, mspd_scale,
+    mspd_thresholds, mssd_m, mssd_thresholds, nearest_symmetric, pose_error, projection_px, rotation_error_rad,
+    translation_error_m, vsd_thresholds, within_5cm_5deg,
 };
 use std::collections::BTreeMap;
 
@@ -12,14 +16,19 @@ use std::collections::BTreeMap;
 type Candidates<'a> = Vec<(usize, &'a Estimate)>;
 
 /// The estimates of a set by scene, image and object.
-pub(crate) type Index<'a> = BTreeMap<(u32, u32, u32), Candidates<'a>>;
+pub(crate) struct Indexed<'a> {
+    by_object: BTreeMap<(u32, u32, u32), Candidates<'a>>,
+    details: &'a [EstimateDetails],
+}
 
-pub(crate) fn index(estimates: &[Estimate]) -> Index<'_> {
-    let mut index = Index::new();
-    for (i, e) in estimates.iter().enumerate() {
-        index.entry((e.scene_id, e.image_id, e.object_id)).or_default().push((i, e));
+impl<'a> Indexed<'a> {
+    pub(crate) fn new(set: &'a NamedEstimates) -> Self {
+        let mut by_object: BTreeMap<_, Candidates> = BTreeMap::new();
+        for (i, e) in set.estimates.iter().enumerate() {
+            by_object.entry((e.scene_id, e.image_id, e.object_id)).or_default().push((i, e));
+        }
+        Self { by_object, details: &set.details }
     }
-    index
 }
 
 /// The errors of one estimate against one true instance, in the units of their thresholds.
@@ -38,7 +47,7 @@ struct PairErrors {
 pub(crate) fn score_image(
     dataset: &EvalDataset,
     image: &EvalImage,
-    sets: &[Index<'_>],
+    sets: &[Indexed<'_>],
 ) -> Result<Vec<Vec<InstanceErrors>>, EvalError> {
     let test = TestDepth::of(dataset, image)?;
     let mut by_set = vec![Vec::new(); sets.len()];
@@ -47,8 +56,9 @@ pub(crate) fn score_image(
             (0..image.truth.len()).filter(|i| image.valid[*i] && image.truth[*i].object_id == *object_id).collect();
         for (set, out) in sets.iter().zip(&mut by_set) {
             let empty = Candidates::new();
-            let candidates = set.get(&(image.scene_id, image.frame.image_id, *object_id)).unwrap_or(&empty);
-            let object = Object { dataset, image, test: &test, object_id: *object_id, truth: &truth };
+            let candidates = set.by_object.get(&(image.scene_id, image.frame.image_id, *object_id)).unwrap_or(&empty);
+            let (object_id, truth, details) = (*object_id, truth.as_slice(), set.details);
+            let object = Object { dataset, image, test: &test, object_id, truth, details };
             out.extend(object.score(candidates)?);
         }
     }
@@ -82,6 +92,8 @@ struct Object<'a> {
     object_id: u32,
     /// The instances to be found, as indices of the image's truth.
     truth: &'a [usize],
+    /// What is known of the set's estimates beside their poses, or nothing.
+    details: &'a [EstimateDetails],
 }
 
 impl Object<'_> {
@@ -159,7 +171,16 @@ impl Object<'_> {
         let boxes = [est, &gt].map(|pose| projected_box(hull, pose, &self.image.frame.intrinsics));
         let gt = nearest_symmetric(est, &gt, &model.symmetries);
         let finite = |v: f64| Some(v).filter(|v| v.is_finite());
+        let middle = self.dataset.objects.get(self.object_id).map(|object| object.box_centre_m());
+        let depth = middle.map_or(None, |middle| Depth::between(est, &gt, middle));
+        let details = self.details.get(row);
+        let distances = details.and_then(|d| mahalanobis2(&pose_error(est, &gt), d.covariance.as_ref()?));
         InstanceErrors {
+            depth_of_diameter: depth.as_ref().map(|d| d.error_m / model.diameter_m),
+            add_s_true_depth_of_diameter: depth.map(|d| add_s_m(model, &d.corrected, &gt) / model.diameter_m),
+            confidence: details.and_then(|d| d.confidence),
+            mahalanobis2: distances.map(|d| [d.pose, d.translation, d.rotation]),
+            gate: details.map_or_else(Vec::new, |d| d.gate.iter().map(|step| gate_errors(model, step, &gt)).collect()),
             estimate: Some(row),
             add_s_m: finite(pair.add_s_m),
             add_s_of_diameter: finite(pair.add_s_m / model.diameter_m),
@@ -179,6 +200,37 @@ impl Object<'_> {
 /// ADD, or ADI for a symmetric object, metres.
 fn add_s_m(model: &EvalModel, est: &MatrixPose, gt: &MatrixPose) -> f64 {
     if model.symmetric { adi_m(&model.points, est, gt) } else { add_m(&model.points, est, gt) }
+}
+
+fn gate_errors(model: &EvalModel, step: &GateStep, gt: &MatrixPose) -> GateErrors {
+    let of = |pose: Pose| add_s_m(model, &pose.into(), gt) / model.diameter_m;
+    GateErrors {
+        before_of_diameter: of(step.before),
+        after_of_diameter: of(step.after),
+        accepted: step.accepted,
+        evidence: step.evidence.clone(),
+    }
+}
+
+/// What is wrong with an estimate along the viewing ray.
+struct Depth {
+    /// Estimated minus true depth of a point, metres.
+    error_m: f64,
+    /// The estimate with that point moved along its viewing ray to the true depth.
+    corrected: MatrixPose,
+}
+
+impl Depth {
+    /// Of a point of the object's frame; `None` when one of its depths is not before the camera.
+    fn between(est: &MatrixPose, gt: &MatrixPose, point: Point3<f64>) -> Option<Self> {
+        let (at, truth) = (est.pose() * point, gt.pose() * point);
+        if !(at.z > 0.0 && truth.z > 0.0) {
+            return None;
+        }
+        let shift = at.coords * (truth.z / at.z - 1.0);
+        let corrected = Pose::from_parts((est.translation_m() + shift).into(), est.pose().rotation);
+        Some(Self { error_m: at.z - truth.z, corrected: corrected.into() })
+    }
 }
 
 /// Lowest and highest x and y of the projected points, pixels; `None` when one is behind the camera.
@@ -204,8 +256,24 @@ fn overlap(a: &Option<[[f64; 2]; 2]>, b: &Option<[[f64; 2]; 2]>) -> Option<f64> 
     Some(shared / (area(a[0], a[1]) + area(b[0], b[1]) - shared))
 }
 
-/// The truth, turned by the symmetry that brings its rotation nearest to the estimate.
-fn nearest_symmetric(est: &MatrixPose, gt: &MatrixPose, symmetries: &[Pose]) -> MatrixPose {
-    let turned = symmetries.iter().map(|s| gt.after(s));
-    turned.min_by(|a, b| rotation_error_rad(est, a).total_cmp(&rotation_error_rad(est, b))).unwrap_or(*gt)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_true_depth_keeps_the_projection() {
+        let k = Intrinsics { fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
+        let middle = Point3::new(0.02, -0.01, 0.03);
+        let gt: Pose = Pose::new([0.1, -0.2, 0.9].into(), [0.3, 0.2, -0.1].into());
+        let est = Pose::new([0.11, -0.19, 1.05].into(), [0.35, 0.2, -0.1].into());
+        let depth = Depth::between(&est.into(), &gt.into(), middle).unwrap();
+        let corrected = depth.corrected.pose();
+        assert!((depth.error_m - ((est * middle).z - (gt * middle).z)).abs() < 1e-12);
+        assert!(((corrected * middle).z - (gt * middle).z).abs() < 1e-12);
+        let pixel = |pose: &Pose| k.project(&(pose * middle)).unwrap();
+        assert!((pixel(&corrected) - pixel(&est)).norm() < 1e-9);
+        assert!(corrected.rotation.angle_to(&est.rotation) < 1e-12);
+        let behind = Pose::translation(0.0, 0.0, -1.0);
+        assert!(Depth::between(&behind.into(), &gt.into(), middle).is_none());
+    }
 }

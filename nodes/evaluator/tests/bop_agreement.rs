@@ -127,7 +127,7 @@ fn scores_of_a_result_file_agree() {
     let Some(shared) = shared("scores_of_a_result_file_agree") else { return };
     let dataset = load_dataset(&shared.join("data/lmo_frame"), "test", None).unwrap();
     let estimates = read_results(&shared.join("bop/noisy_lmo-test.csv"), Some(&dataset.known)).unwrap();
-    let set = NamedEstimates { name: "estimate".to_owned(), estimates };
+    let set = NamedEstimates::new("estimate", estimates);
     let report = evaluate(&dataset, &[set], &|_, _| ()).unwrap();
     let (ours, toolkit) = (&report.overall["estimate"], json(&shared.join("bop/scores_bop19.json")));
     // Recalls of 8 instances at 10 (VSD: 100) thresholds: equal only when every count is.

@@ -2,7 +2,8 @@
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use pseudoflow_evaluator::{
-    EvalDataset, EvalError, NamedEstimates, Report, VsdDepth, compare, evaluate, load_dataset, overlays,
+    EstimateDetails, EvalDataset, EvalError, GateStep, NamedEstimates, Report, VsdDepth, compare, evaluate,
+    load_dataset, overlays,
 };
 use pseudoflow_geometry::{Pose, rotation_row_major};
 use pseudoflow_metrics::{Estimate, file_name, read_results, write_results};
@@ -101,11 +102,11 @@ fn perfect(dataset: &EvalDataset) -> NamedEstimates {
         };
         valid.map(|(t, _)| t).enumerate().map(estimate).collect::<Vec<_>>()
     };
-    NamedEstimates { name: "refined".to_owned(), estimates: dataset.images.iter().flat_map(of_image).collect() }
+    NamedEstimates::new("refined", dataset.images.iter().flat_map(of_image).collect())
 }
 
 fn both(dataset: &EvalDataset) -> [NamedEstimates; 2] {
-    [NamedEstimates { name: "init".to_owned(), estimates: dataset.initial_estimates() }, perfect(dataset)]
+    [NamedEstimates::new("init", dataset.initial_estimates()), perfect(dataset)]
 }
 
 #[test]
@@ -177,7 +178,7 @@ fn the_pages_are_self_contained() {
     report.write_html(&path, &pictures).unwrap();
     let html = std::fs::read_to_string(&path).unwrap();
     assert_eq!(html.matches("data:image/jpeg;base64,/9j/").count(), 15);
-    assert!(!html.contains("http") && !html.contains("<script") && html.matches("<svg").count() == 9);
+    assert!(!html.contains("http") && !html.contains("<script") && html.matches("<svg").count() == 11);
     let page = dir.path().join("compare.html");
     compare(&report, &report).unwrap().write_html(&page).unwrap();
     assert!(std::fs::read_to_string(page).unwrap().contains("+0.0 <small>[+0.0, +0.0]"));
@@ -206,7 +207,7 @@ fn only_as_many_estimates_count_as_instances_are_asked_for() {
     let right = perfect(&dataset).estimates.remove(0);
     let far = (Pose::translation(0.3, 0.0, 0.0) * right.camera_from_object.pose()).into();
     let wrong = Estimate { camera_from_object: far, score: right.score + 1.0, ..right.clone() };
-    let set = NamedEstimates { name: "estimate".to_owned(), estimates: vec![right, wrong] };
+    let set = NamedEstimates::new("estimate", vec![right, wrong]);
     let report = evaluate(&dataset, &[set], &|_, _| ()).unwrap();
     assert_eq!(report.overall["estimate"].mssd_recall, 0.0);
 }
@@ -218,7 +219,7 @@ fn a_result_file_scores_as_its_poses_do() {
     let path = dir.path().join(file_name("pseudoflow", "boxes", "test").unwrap());
     write_results(&path, &sets[1].estimates).unwrap();
     let estimates = read_results(&path, Some(&dataset.known)).unwrap();
-    let set = NamedEstimates { name: "refined".to_owned(), estimates };
+    let set = NamedEstimates::new("refined", estimates);
     let (direct, file) = (evaluate(&dataset, &sets[1..], &|_, _| ()), evaluate(&dataset, &[set], &|_, _| ()));
     assert_eq!(direct.unwrap().overall, file.unwrap().overall);
 }
@@ -244,4 +245,46 @@ fn mistakes_are_named() {
     let twice = [perfect(&dataset), perfect(&dataset)];
     assert!(matches!(evaluate(&dataset, &twice, &|_, _| ()), Err(EvalError::SetNames { .. })));
     assert!(matches!(load_dataset(Path::new("/nowhere"), "test", None), Err(EvalError::NoModels { .. })));
+}
+
+#[test]
+fn what_is_wrong_is_said_and_of_whom() {
+    let (_dir, dataset) = dataset(None).unwrap();
+    let mut sets = both(&dataset);
+    let covariance = std::array::from_fn(|i| if i % 7 == 0 { 1e-6 } else { 0.0 });
+    let step = |(e, before): (&Estimate, &Estimate)| EstimateDetails {
+        confidence: Some(0.9),
+        covariance: Some(covariance),
+        gate: vec![GateStep {
+            before: before.camera_from_object.pose(),
+            after: e.camera_from_object.pose(),
+            accepted: true,
+            evidence: Default::default(),
+        }],
+    };
+    let initial = sets[0].estimates.clone();
+    sets[1].details = sets[1].estimates.iter().zip(&initial).map(step).collect();
+    let mut report = evaluate(&dataset, &sets, &|_, _| ()).unwrap();
+    let (init, refined) = (&report.diagnosis["init"], &report.diagnosis["refined"]);
+    // 5 cm too far; with the true depth 2 mm are left, nearly.
+    assert!(init.median_depth_of_diameter.unwrap() > 0.25 && init.add_s_recall == 0.0);
+    assert_eq!((init.add_s_recall_true_depth, init.changes), (1.0, None));
+    let by_share: Vec<usize> = init.by_visible_share.iter().map(|b| b.n).collect();
+    assert_eq!(by_share, [3, 5], "0.6 and 0.9 or all of it; what is hidden does not count");
+    let gate = refined.gate.unwrap();
+    assert_eq!((gate.accepted, gate.accepted_improved, gate.accepted_mended), (8, 1.0, 8));
+    assert_eq!(refined.changes.map(|c| (c.spoilt, c.mended)), Some((0, 8)));
+    let confidence = refined.confidence.as_ref().unwrap();
+    assert!((confidence.calibration_error - 0.1).abs() < 1e-9, "{confidence:?}");
+    assert_eq!(refined.coverage.map(|c| (c.n, c.pose)), Some((8, 1.0)));
+    report.leave_out(&[1]).unwrap();
+    let without = report.without.as_ref().unwrap();
+    assert_eq!(
+        (without.overall["refined"].n, without.diagnosis["init"].n, without.name().as_str()),
+        (2, 2, "all but 1")
+    );
+    assert!(matches!(report.leave_out(&[9]), Err(EvalError::NotScored { object_id: 9, .. })));
+    assert!(matches!(report.leave_out(&[1, 2]), Err(EvalError::NothingLeft { .. })));
+    sets[1].details.pop();
+    assert!(matches!(evaluate(&dataset, &sets, &|_, _| ()), Err(EvalError::Details { details: 7, .. })));
 }

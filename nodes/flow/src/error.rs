@@ -6,6 +6,31 @@ pub enum FlowError {
     /// The engine could not be opened, or failed.
     #[error(transparent)]
     Engine(#[from] pseudoflow_inference::InferenceError),
+    /// The device is not there, or the weights belong to another network.
+    #[error(transparent)]
+    Network(#[from] pseudoflow_network::NetworkError),
+    /// Device and engine do not go together.
+    #[error(
+        "`device: {device}` and `engine` ({engine}) do not go together: ONNX Runtime computes on cpu and cuda, rten on cpu, \
+         burn on every device"
+    )]
+    DeviceAndEngine {
+        /// The device.
+        device: String,
+        /// Backend and provider.
+        engine: String,
+    },
+    /// No engine computes on the device.
+    #[error("`device: {device}`: {reasons}")]
+    NoEngine {
+        /// The device.
+        device: String,
+        /// What each engine said.
+        reasons: String,
+    },
+    /// This binary finds no GPU.
+    #[error("no GPU that this binary can use")]
+    NoGpu,
     /// The model file could not be read.
     #[error("`model: {path}` could not be read: {cause}. Give the path of a .onnx or .safetensors file")]
     Model {

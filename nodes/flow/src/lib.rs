@@ -1,10 +1,13 @@
 //! The flow node: for each reference view, the flow from the rendering to the real crop (paper eq. 4; method.md,
 //! step 4).
 //!
-//! The network is an ONNX file, run by [`pseudoflow_inference`].
+//! The network is an ONNX file, run by [`pseudoflow_inference`], or weights that burn runs on a GPU: `device` says where.
 
+mod burn_engine;
+mod engine;
 mod error;
 mod images;
+mod loaded;
 mod node;
 
 pub use error::FlowError;

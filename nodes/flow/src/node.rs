@@ -1,7 +1,9 @@
+use crate::engine::{Model, Opener};
+use crate::loaded::Loaded;
 use crate::{FlowError, interleave};
-use pseudoflow_inference::{Engine, EngineConfig, Input, Output, normalise, open};
+use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{FlowFields, FlowFieldsHeader, NetworkWeights, ReferenceViews};
-use pseudoflow_network::{ExportOptions, NetworkConfig, Weights, export_onnx};
+use pseudoflow_network::{ComputeDevice, ExportOptions, FlowNetwork, NetworkConfig, NetworkError, RefinerConfig};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,7 +13,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FlowConfig {
-    /// The network: a `.onnx` file, or `.safetensors` weights that are exported to ONNX in memory.
+    /// The network: a `.onnx` file, or `.safetensors` weights, which become ONNX in memory or run as they are on a GPU.
     pub model: PathBuf,
     /// The network that `.safetensors` weights belong to.
     #[serde(default)]
@@ -19,12 +21,16 @@ pub struct FlowConfig {
     /// Width and height of the crops, pixels; the renderer's `size_px`.
     #[serde(default = "default_size_px")]
     pub size_px: u32,
-    /// Refinement iterations of an exported network (an `.onnx` file has its own).
-    #[serde(default = "default_iterations")]
-    pub iterations: u32,
+    /// Refinement iterations of an exported network (an `.onnx` file has its own); the network's own number where absent.
+    #[serde(default)]
+    pub iterations: Option<u32>,
     /// At most this many fields in one run of the network.
     #[serde(default = "default_batch")]
     pub max_batch: u32,
+    /// What computes: auto, cpu, vulkan[:N] or cuda[:N]. `auto` takes ONNX Runtime's CUDA where its library has it, else a
+    /// GPU of which this binary knows, else the processor; the log says which. The same bits come out on the processor only.
+    #[serde(default)]
+    pub device: ComputeDevice,
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
@@ -61,8 +67,12 @@ impl Lockstep {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Network {
-    /// RAFT-small, trained at 128 px.
+    /// As the weights say: the refiner, or else RAFT-small.
     #[default]
+    Auto,
+    /// The refiner for all objects.
+    Refiner,
+    /// RAFT-small, trained at 128 px.
     Nano,
     /// RAFT-small, trained at 256 px.
     Small,
@@ -71,14 +81,19 @@ pub enum Network {
 }
 
 impl Network {
-    /// Its configuration.
-    #[must_use]
-    pub fn config(self) -> NetworkConfig {
-        match self {
-            Self::Nano => NetworkConfig::nano(),
-            Self::Small => NetworkConfig::small(),
-            Self::Paper => NetworkConfig::paper(),
-        }
+    /// The network of a file.
+    ///
+    /// # Errors
+    /// The file is unreadable or damaged.
+    pub fn of(self, path: &Path) -> Result<FlowNetwork, NetworkError> {
+        let is_weights = path.extension().is_some_and(|extension| extension == "safetensors");
+        Ok(match self {
+            Self::Auto if is_weights => FlowNetwork::of_weights(path)?,
+            Self::Auto | Self::Nano => FlowNetwork::Raft(NetworkConfig::nano()),
+            Self::Small => FlowNetwork::Raft(NetworkConfig::small()),
+            Self::Paper => FlowNetwork::Raft(NetworkConfig::paper()),
+            Self::Refiner => FlowNetwork::Refiner(RefinerConfig::default()),
+        })
     }
 }
 
@@ -86,91 +101,99 @@ fn default_size_px() -> u32 {
     128
 }
 
-fn default_iterations() -> u32 {
-    12
-}
-
 fn default_batch() -> u32 {
     16
 }
 
-/// A network file as the bytes of an ONNX file: `.onnx` as it is, `.safetensors` exported for crops of `size_px`.
+/// A network file as the bytes of an ONNX file: `.onnx` as it is, `.safetensors` exported for crops of `size_px`, with the
+/// network's own number of iterations where none is given.
 ///
 /// # Errors
 /// When the file cannot be read or holds no such network.
-pub fn load_model(path: &Path, network: Network, size_px: u32, iterations: u32) -> Result<Vec<u8>, FlowError> {
+pub fn load_model(path: &Path, network: Network, size_px: u32, iterations: Option<u32>) -> Result<Vec<u8>, FlowError> {
+    let failed = |cause: String| FlowError::Model { path: path.to_owned(), cause };
+    let network = network.of(path).map_err(|error| failed(error.to_string()))?;
+    match load(path, &network)? {
+        Model::Onnx(onnx) => Ok(onnx),
+        Model::Weights(weights) => {
+            let iterations = iterations.map_or(network.iterations_infer(), |given| given as usize);
+            let options = ExportOptions { size_px: size_px as usize, iterations, batch: None };
+            network.export(&weights, options).map_err(|error| failed(error.to_string()))
+        }
+    }
+}
+
+fn load(path: &Path, network: &FlowNetwork) -> Result<Model, FlowError> {
     let failed = |cause: String| FlowError::Model { path: path.to_owned(), cause };
     if path.extension().is_some_and(|extension| extension == "safetensors") {
-        let config = network.config();
-        let options = ExportOptions { size_px: size_px as usize, iterations: iterations as usize, batch: None };
-        let weights = Weights::load(path, &config).map_err(|error| failed(error.to_string()))?;
-        return export_onnx(&weights, &config, options).map_err(|error| failed(error.to_string()));
+        let weights = network.load(path).map_err(|error| failed(error.to_string()))?;
+        return Ok(Model::Weights(weights));
     }
-    std::fs::read(path).map_err(|error| failed(error.to_string()))
+    Ok(Model::Onnx(std::fs::read(path).map_err(|error| failed(error.to_string()))?))
 }
 
 /// Reference views in, flow fields out.
 pub struct FlowNode {
     config: FlowConfig,
-    engine: Box<dyn Engine>,
+    opener: Opener,
+    network: Loaded,
     /// `None` while those of the start serve.
     weights_version: Option<u64>,
     /// In lockstep: what served before, for frames that another node's death brings back.
-    before: Option<(u64, Box<dyn Engine>)>,
-    reference: Vec<f32>,
-    real: Vec<f32>,
+    before: Option<(u64, Loaded)>,
     planes: Vec<f32>,
+    certainty: Vec<u8>,
 }
 
-/// Reference and real image of every field, in the order of the message: views, then partners (`None` where absent).
-fn pairs<'a>(views: &ReferenceViews<'a>, values: usize) -> Vec<Option<(&'a [u8], &'a [u8])>> {
+/// What the network compares for a field: a rendering, its depth and intrinsics, and a real crop.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pair<'a> {
+    pub(crate) reference_rgb: &'a [u8],
+    pub(crate) reference_depth_m: &'a [f32],
+    /// Focal length of the crop, px: the mean of both directions.
+    pub(crate) focal_px: f64,
+    pub(crate) real_rgb: &'a [u8],
+}
+
+/// The pair of every field, in the order of the message: views, then partners (`None` where absent).
+fn pairs<'a>(views: &ReferenceViews<'a>, area: usize) -> Vec<Option<Pair<'a>>> {
     let (n, m) = (views.header.views_per_instance as usize, views.header.partners_per_instance as usize);
-    let reference = |view: usize| &views.rgb[view * values..(view + 1) * values];
-    let real = |instance: usize| &views.real_rgb[instance * values..(instance + 1) * values];
-    let of_views = (0..views.views.len()).map(|view| Some((reference(view), real(view / n))));
-    let of_partners = views.partners.iter().enumerate().map(|(p, partner)| {
-        let crop = &views.partner_rgb[p * values..(p + 1) * values];
-        (partner.present == 1).then(|| (reference(p / m * n), crop))
-    });
+    let pair = |view: usize, real_rgb: &'a [u8]| Pair {
+        reference_rgb: &views.rgb[view * 3 * area..(view + 1) * 3 * area],
+        reference_depth_m: &views.depth_m[view * area..(view + 1) * area],
+        focal_px: (views.views[view].crop_intrinsics[0] + views.views[view].crop_intrinsics[1]) / 2.0,
+        real_rgb,
+    };
+    let crop = |crops: &'a [u8], i: usize| &crops[i * 3 * area..(i + 1) * 3 * area];
+    let of_views = (0..views.views.len()).map(|view| Some(pair(view, crop(views.real_rgb, view / n))));
+    let of_partners = views
+        .partners
+        .iter()
+        .enumerate()
+        .map(|(p, partner)| (partner.present == 1).then(|| pair(p / m * n, crop(views.partner_rgb, p))));
     of_views.chain(of_partners).collect()
-}
-
-/// Computes `n` fields: reference and real images are `n x 3 x S x S`, `flow_px` is `n x 2 x S x S`.
-fn run(
-    engine: &mut dyn Engine,
-    [reference, real]: [&[f32]; 2],
-    n: usize,
-    size_px: usize,
-    flow_px: &mut [f32],
-) -> Result<(), FlowError> {
-    let shape = [n, 3, size_px, size_px];
-    let inputs = [("reference", reference), ("real", real)].map(|(name, data)| Input { name, shape: &shape, data });
-    Ok(engine.run(&inputs, &mut [Output { name: "flow", data: flow_px }])?)
 }
 
 impl FlowNode {
     /// Runs all pairs of a frame through the network, `max_batch` at a time. What has no image keeps zero flow.
     fn infer(&mut self, views: &ReferenceViews<'_>) -> Result<(), FlowError> {
-        let size_px = self.config.size_px as usize;
-        let (values, field) = (size_px * size_px * 3, size_px * size_px * 2);
-        let pairs = pairs(views, values);
+        let area = (self.config.size_px as usize).pow(2);
+        let pairs = pairs(views, area);
         self.planes.clear();
-        self.planes.resize(pairs.len() * field, 0.0);
+        self.planes.resize(pairs.len() * 2 * area, 0.0);
+        self.certainty.clear();
+        self.certainty.resize(if self.network.has_certainty() { self.planes.len() } else { 0 }, 0);
         let present: Vec<usize> = (0..pairs.len()).filter(|pair| pairs[*pair].is_some()).collect();
-        let mut flow_px = Vec::new();
         for batch in present.chunks(self.config.max_batch as usize) {
-            self.reference.resize(batch.len() * values, 0.0);
-            self.real.resize(batch.len() * values, 0.0);
-            flow_px.resize(batch.len() * field, 0.0);
-            let images = batch.iter().filter_map(|pair| pairs[*pair]);
-            let out = self.reference.chunks_exact_mut(values).zip(self.real.chunks_exact_mut(values));
-            for ((reference, real), (reference_out, real_out)) in images.zip(out) {
-                normalise(reference, size_px * size_px, reference_out);
-                normalise(real, size_px * size_px, real_out);
-            }
-            run(&mut *self.engine, [&self.reference, &self.real], batch.len(), size_px, &mut flow_px)?;
-            for (pair, flow_px) in batch.iter().zip(flow_px.chunks_exact(field)) {
-                self.planes[pair * field..(pair + 1) * field].copy_from_slice(flow_px);
+            let images: Vec<Pair<'_>> = batch.iter().filter_map(|pair| pairs[*pair]).collect();
+            let answer = self.network.run(&images)?;
+            for (i, pair) in batch.iter().enumerate() {
+                let (from, to) = (i * 2 * area..(i + 1) * 2 * area, pair * 2 * area..(pair + 1) * 2 * area);
+                self.planes[to.clone()].copy_from_slice(&answer.flow_px[from.clone()]);
+                if let Some(certainty) = answer.certainty {
+                    let out = self.certainty[to].iter_mut().zip(&certainty[from]);
+                    out.for_each(|(out, value)| *out = (value * 255.0 + 0.5) as u8);
+                }
             }
         }
         Ok(())
@@ -183,25 +206,17 @@ impl FlowNode {
         if self.weights_version == Some(wanted) {
             return Ok(());
         }
-        let engine = match self.before.take() {
-            Some((version, engine)) if version == wanted => engine,
+        let network = match self.before.take() {
+            Some((version, network)) if version == wanted => network,
             // `ready` lets only frames through that want one of the two.
-            _ if newest == wanted => open(weights.onnx, &self.config.engine)?,
-            _ => open(weights.previous_onnx, &self.config.engine)?,
+            _ if newest == wanted => self.opener.open_weights(weights.weights)?,
+            _ => self.opener.open_weights(weights.previous)?,
         };
-        let served = std::mem::replace(&mut self.engine, engine);
+        let served = std::mem::replace(&mut self.network, network);
         let version = self.weights_version.replace(wanted);
         self.before = version.filter(|_| self.config.lockstep.is_some()).map(|version| (version, served));
         log::debug!("publication {wanted} is in use from frame {frame} on");
         Ok(())
-    }
-
-    /// One run on grey images, so that the first frame finds memory and kernels ready.
-    fn warm_up(&mut self) -> Result<(), FlowError> {
-        let size_px = self.config.size_px as usize;
-        let images = vec![0.0; size_px * size_px * 3];
-        let mut flow_px = vec![0.0; size_px * size_px * 2];
-        run(&mut *self.engine, [&images, &images], 1, size_px, &mut flow_px)
     }
 }
 
@@ -225,8 +240,8 @@ impl Node for FlowNode {
         if !config.size_px.is_multiple_of(8) || !(64..=1024).contains(&config.size_px) {
             return Err(format!("`size_px: {}`: give a multiple of 8 in 64..=1024", config.size_px).into());
         }
-        if !(1..=64).contains(&config.iterations) {
-            return Err(format!("`iterations: {}`: give 1..=64", config.iterations).into());
+        if let Some(iterations) = config.iterations.filter(|n| !(1..=64).contains(n)) {
+            return Err(format!("`iterations: {iterations}`: give 1..=64").into());
         }
         if config.max_batch == 0 {
             return Err("`max_batch: 0`: give at least 1".into());
@@ -242,13 +257,12 @@ impl Node for FlowNode {
     }
 
     fn create(config: FlowConfig, _context: &Context) -> Result<Self, NodeError> {
-        let onnx = load_model(&config.model, config.network, config.size_px, config.iterations)?;
-        let engine = open(&onnx, &config.engine)?;
-        log::info!("{} computes flow of {} px with {}", engine.describe(), config.size_px, config.model.display());
-        let (reference, real, planes) = (Vec::new(), Vec::new(), Vec::new());
-        let mut node = Self { config, engine, weights_version: None, before: None, reference, real, planes };
-        node.warm_up()?;
-        Ok(node)
+        let network = config.network.of(&config.model)?;
+        let (opener, mut network) = Opener::choose(&config, &network, &load(&config.model, &network)?)?;
+        log::info!("{} computes flow of {} px with {}", network.describe(), config.size_px, config.model.display());
+        network.warm_up()?;
+        let (planes, certainty) = (Vec::new(), Vec::new());
+        Ok(Self { config, opener, network, weights_version: None, before: None, planes, certainty })
     }
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
@@ -288,9 +302,13 @@ impl Node for FlowNode {
             fields: (views.views.len() + views.partners.len()) as u32,
             size_px: self.config.size_px,
             weights_version: self.weights_version.unwrap_or(0),
+            has_certainty: u32::from(self.network.has_certainty()),
+            reserved: 0,
         };
         outputs.send("flow", inputs.key(), FlowFields::byte_len(&header), &mut |bytes| {
-            interleave(&self.planes, size_px, FlowFields::write(bytes, header).flow_px);
+            let fields = FlowFields::write(bytes, header);
+            interleave(&self.planes, size_px, fields.flow_px);
+            fields.certainty.copy_from_slice(&self.certainty);
         })
     }
 }

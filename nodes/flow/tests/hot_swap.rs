@@ -6,7 +6,7 @@ use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FrameKey, Message, NetworkWeights, NetworkWeightsHeader, Partner, ReferenceViews,
     ReferenceViewsHeader,
 };
-use pseudoflow_network::{ExportOptions, NetworkConfig, Weights, export_onnx};
+use pseudoflow_network::{ComputeDevice, NetworkConfig, Weights};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use std::path::Path;
 
@@ -16,9 +16,8 @@ fn weights(seed: u64) -> Weights {
     Weights::random(&NetworkConfig::nano(), seed)
 }
 
-fn onnx(seed: u64) -> Vec<u8> {
-    let options = ExportOptions { size_px: SIZE as usize, iterations: 2, batch: None };
-    export_onnx(&weights(seed), &NetworkConfig::nano(), options).unwrap()
+fn file(seed: u64) -> Vec<u8> {
+    weights(seed).to_bytes()
 }
 
 /// One instance with two views and two partners, the second of them absent.
@@ -43,16 +42,16 @@ fn views() -> AlignedBytes {
 }
 
 fn message(version: u64, seed: u64, previous: Option<u64>) -> AlignedBytes {
-    let (onnx, previous) = (onnx(seed), previous.map(onnx).unwrap_or_default());
+    let (newest, previous) = (file(seed), previous.map(file).unwrap_or_default());
     let header = NetworkWeightsHeader {
         version,
         step: 0,
         frames_per_version: 2,
-        onnx_bytes: onnx.len() as u64,
-        previous_onnx_bytes: previous.len() as u64,
+        weights_bytes: newest.len() as u64,
+        previous_bytes: previous.len() as u64,
     };
     let mut bytes = AlignedBytes::zeroed(NetworkWeights::byte_len(&header));
-    NetworkWeights::write(&mut bytes, header, &onnx, &previous);
+    NetworkWeights::write(&mut bytes, header, &newest, &previous);
     bytes
 }
 
@@ -66,8 +65,16 @@ fn inputs(frame: u64, weights: Option<AlignedBytes>) -> InMemory {
 fn open(folder: &Path, engine: EngineConfig, lockstep: Option<Lockstep>) -> FlowNode {
     let model = folder.join("start.safetensors");
     weights(1).save(&model).unwrap();
-    let config =
-        FlowConfig { model, network: Network::Nano, size_px: SIZE, iterations: 2, max_batch: 2, engine, lockstep };
+    let config = FlowConfig {
+        model,
+        network: Network::Nano,
+        size_px: SIZE,
+        iterations: Some(2),
+        max_batch: 2,
+        device: ComputeDevice::Cpu,
+        engine,
+        lockstep,
+    };
     FlowNode::check(&config).unwrap();
     FlowNode::create(config, &context()).unwrap()
 }
@@ -89,7 +96,8 @@ fn engines() -> Vec<EngineConfig> {
     let library = std::env::var_os("PSEUDOFLOW_ONNXRUNTIME").map(Into::into);
     let onnxruntime =
         library.map(|file| EngineConfig { backend: Backend::OnnxRuntime, onnxruntime: Some(file), ..rten.clone() });
-    std::iter::once(rten).chain(onnxruntime).collect()
+    let burn = EngineConfig { backend: Backend::Burn, ..EngineConfig::default() };
+    [rten, burn].into_iter().chain(onnxruntime).collect()
 }
 
 #[test]

@@ -1,11 +1,13 @@
-use crate::gate::{Evidence, Gate, GateConfig, GateView};
-use pseudoflow_geometry::{Intrinsics, pose_from_quaternion, quaternion_xyzw};
-use pseudoflow_msgs::{FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
+use crate::joint::{Joint, Stages};
+use crate::gate::{Evidence, Features, Gate, GateConfig, GateView, Scale, Stage, StageModel, Verdict};
+use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
+use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
-use pseudoflow_solver::{FlowField, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
+use pseudoflow_solver::{FlowField, JointConfig, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
 use rand::Rng;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Settings of the pnp node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -13,7 +15,17 @@ use serde::{Deserialize, Serialize};
 pub struct PnpNodeConfig {
     /// The solver. Pixel thresholds are those of a crop of 256 px and scale with the crop.
     pub solver: PnpConfig,
-    /// When a refined pose replaces the initial one; `null` accepts every solution.
+    /// What poses are solved from. `region` and `joint` need `objects` and the `frame` port, `region` needs neither `views`
+    /// nor `flow` but `initial_poses`.
+    pub stages: Stages,
+    /// Folder of the object set (BOP `models/`), for its contours.
+    pub objects: Option<PathBuf>,
+    /// Folder where contour models are kept for the next start; without it one in the system's temporary folder.
+    pub contours: Option<PathBuf>,
+    /// The joint solver of `region` and `joint`.
+    pub joint: JointConfig,
+    /// When a pose refined by flow replaces the initial one (with `region` and `joint` the rough pose is a prior, and the
+    /// result always stands); `null` accepts every solution.
     pub gate: Option<GateConfig>,
     /// Smallest agreement of flow and picture with a pose for the object to count as seen there, -1 to 3: inlier ratio,
     /// correlation of the rendering with the crop and contrast across its contour. Below it the status is `NotSeen`.
@@ -24,7 +36,16 @@ pub struct PnpNodeConfig {
 
 impl Default for PnpNodeConfig {
     fn default() -> Self {
-        Self { solver: PnpConfig::default(), gate: Some(GateConfig::default()), min_seen: MIN_SEEN, first_frame: 0 }
+        Self {
+            solver: PnpConfig::default(),
+            stages: Stages::default(),
+            objects: None,
+            contours: None,
+            joint: JointConfig::default(),
+            gate: Some(GateConfig::default()),
+            min_seen: MIN_SEEN,
+            first_frame: 0,
+        }
     }
 }
 
@@ -38,12 +59,42 @@ pub struct PnpNode {
     solver: Option<(usize, Solver)>,
     buffer: PixelBuffer,
     gate: Gate,
+    model: StageModel,
+    joint: Option<Joint>,
+}
+
+/// What became of one instance (or one hypothesis of it).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Look {
+    /// The pose as it goes out.
+    pub pose: ObjectPose,
+    /// How well flow and picture agree with it, -1 to 3; -infinity where nothing was solved.
+    pub seen: f64,
+    /// What the gate decided on; `None` where nothing was solved.
+    pub refinement: Option<Refinement>,
+}
+
+/// A solution and the gate's decision on it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refinement {
+    /// The pose that it began from, `camera_from_object`.
+    pub before: Pose,
+    /// The refined pose, taken or not.
+    pub after: Pose,
+    /// Whether it was taken.
+    pub accepted: bool,
+    /// What the decision was made from.
+    pub features: Features,
+    /// What the model made of it.
+    pub verdict: Verdict,
+    /// The solver's covariance, not yet scaled by what was learnt.
+    pub solver_covariance: [f64; 36],
 }
 
 /// The planes of one view.
-struct ViewPlanes<'a> {
-    view: &'a ReferenceView,
-    field: FlowField<'a>,
+pub(crate) struct ViewPlanes<'a> {
+    pub(crate) view: &'a ReferenceView,
+    pub(crate) field: FlowField<'a>,
     reference_rgb: &'a [u8],
     real_rgb: &'a [u8],
 }
@@ -57,41 +108,99 @@ impl PnpNode {
         Ok(&mut self.solver.as_mut().ok_or("no solver")?.1)
     }
 
-    /// The refined pose, and how well flow and picture agree with it.
-    fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<(ObjectPose, f64), NodeError> {
+    /// The refined pose of a view.
+    fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<Look, NodeError> {
         let found = self.solve(planes, seed)?;
-        let (status, seen) = match found.status {
-            PnpStatus::Ok => self.looked_at(planes, &found)?,
-            failed => ((message_status(failed), false), f64::NEG_INFINITY),
-        };
-        Ok((refined_pose(&planes.view.pose, &found, status), seen))
+        match found.status {
+            PnpStatus::Ok => self.looked_at(planes, &found),
+            failed => {
+                let pose = kept_pose(&planes.view.pose, message_status(failed), 0.0);
+                Ok(Look { pose, seen: f64::NEG_INFINITY, refinement: None })
+            }
+        }
     }
 
-    /// Whether the object is seen at all, whether the solution replaces the initial pose, and how well flow and picture agree
-    /// with what is kept.
-    fn looked_at(
-        &mut self,
-        planes: &ViewPlanes<'_>,
-        found: &PnpResult,
-    ) -> Result<((PoseStatus, bool), f64), NodeError> {
+    /// Whether the object is seen at all, whether the solution replaces the initial pose, and how sure that is.
+    fn looked_at(&mut self, planes: &ViewPlanes<'_>, found: &PnpResult) -> Result<Look, NodeError> {
         let config = self.config.gate.clone().unwrap_or_default();
         let evidence = evidence(planes, found, config.blocks_across, &mut self.gate)?;
-        let decision = config.decide(found, &evidence, planes.field.size_px);
+        let features = Features::of(found, &evidence, &self.scale(planes)?);
+        let verdict = self.model.verdict(&features);
+        let decision = config.decide(found, &evidence, &verdict, planes.field.size_px);
         let refused = self.config.gate.is_some() && !decision.accept;
         let [photometric, silhouette] = match refused {
             true => [evidence.photometric_initial, evidence.silhouette_initial],
             false => [evidence.photometric_refined, evidence.silhouette_refined],
         };
-        let (object, seen) = (planes.view.pose.object_id, found.inlier_ratio + photometric + silhouette);
-        log::debug!("object {object}: gate {}; seen {seen:.3}; {evidence:?}", decision.reason);
+        let initial = &planes.view.pose;
+        let seen = found.inlier_ratio + photometric + silhouette;
+        log::debug!(
+            "object {}: gate {}; seen {seen:.3}; {verdict:?}; {evidence:?}",
+            initial.object_id,
+            decision.reason
+        );
         // A prediction from the frames before that the picture likes better than its refinement is a pose by itself.
-        let tracked = planes.view.pose.source == PoseSource::Tracked as u32;
+        let tracked = initial.source == PoseSource::Tracked as u32;
         let status = match (seen >= self.config.min_seen, refused) {
             (false, _) => PoseStatus::NotSeen,
             (true, true) if !tracked => PoseStatus::Rejected,
             (true, _) => PoseStatus::Ok,
         };
-        Ok(((status, !refused), seen))
+        let pose = match refused {
+            true => kept_pose(initial, status, verdict.initial_right),
+            false => {
+                let covariance = self.model.covariance.apply(&found.covariance, verdict.refined_right);
+                ObjectPose { covariance, ..refined_pose(initial, found, status, verdict.refined_right) }
+            }
+        };
+        let refinement = Refinement {
+            before: planes.field.camera_from_object,
+            after: found.camera_from_object,
+            accepted: !refused,
+            features,
+            verdict,
+            solver_covariance: found.covariance,
+        };
+        Ok(Look { pose, seen, refinement: Some(refinement) })
+    }
+
+    fn scale(&mut self, planes: &ViewPlanes<'_>) -> Result<Scale, NodeError> {
+        let threshold_px = self.solver(planes.field.size_px)?.config().threshold_px;
+        Ok(Scale {
+            size_px: planes.field.size_px,
+            crop_side_px: planes.view.crop[2],
+            threshold_px,
+            diameter_m: planes.view.diameter_m,
+            initial_depth_m: planes.field.camera_from_object.translation.z,
+        })
+    }
+
+    /// What became of each instance of a frame, of several hypotheses the best; ordered by object and instance. This is all
+    /// that [`Node::process`] does but for sending.
+    ///
+    /// # Errors
+    /// When views and flow are missing or do not belong together.
+    pub fn looks(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<Vec<Look>, NodeError> {
+        if let Some(joint) = &mut self.joint {
+            let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
+            return Ok(best_of_each(joint.looks(inputs, rng.random())?));
+        }
+        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
+        let flow = read::<FlowFields<'static>>(inputs, "flow")?;
+        if flow.header.fields as usize != views.views.len() + views.partners.len()
+            || flow.header.size_px != views.header.size_px
+        {
+            return Err(
+                "views and flow do not belong together: connect `flow` to the node that took the same `views`".into()
+            );
+        }
+        let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
+        let skipped = |pose: &ObjectPose| Look { pose: *pose, seen: f64::NEG_INFINITY, refinement: None };
+        let mut looks: Vec<Look> = views.skipped.iter().map(skipped).collect();
+        for instance in 0..views.header.instances as usize {
+            looks.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
+        }
+        Ok(best_of_each(looks))
     }
 
     fn solve(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<PnpResult, NodeError> {
@@ -124,10 +233,11 @@ impl PnpNode {
                 PnpStatus::Ok => Some(evidence(&planes, &found, blocks_across, &mut self.gate)?),
                 _ => None,
             };
-            Ok(Judgement {
-                pose: refined_pose(&planes.view.pose, &found, (status, status == PoseStatus::Ok)),
-                evidence,
-            })
+            let pose = match status {
+                PoseStatus::Ok => refined_pose(&planes.view.pose, &found, status, found.inlier_ratio),
+                failed => kept_pose(&planes.view.pose, failed, found.inlier_ratio),
+            };
+            Ok(Judgement { pose, evidence })
         };
         (0..views.header.instances as usize).map(judge).collect()
     }
@@ -182,12 +292,13 @@ fn message_status(status: PnpStatus) -> PoseStatus {
     }
 }
 
-/// The pose of the message: the solution where it replaces the initial pose, else what it began from.
-fn refined_pose(initial: &ObjectPose, found: &PnpResult, (status, replaces): (PoseStatus, bool)) -> ObjectPose {
-    let score = found.inlier_ratio;
-    if !replaces {
-        return ObjectPose { status: status as u32, score, ..*initial };
-    }
+/// The initial pose with what became of its refinement.
+pub(crate) fn kept_pose(initial: &ObjectPose, status: PoseStatus, score: f64) -> ObjectPose {
+    ObjectPose { status: status as u32, score, ..*initial }
+}
+
+/// The solution in place of the initial pose.
+fn refined_pose(initial: &ObjectPose, found: &PnpResult, status: PoseStatus, score: f64) -> ObjectPose {
     ObjectPose {
         status: status as u32,
         source: PoseSource::Refined as u32,
@@ -201,15 +312,15 @@ fn refined_pose(initial: &ObjectPose, found: &PnpResult, (status, replaces): (Po
 
 /// Of several poses of one instance (an initializer may send them) the one that flow and picture agree with best, the first of
 /// equals; ordered by object and instance.
-fn best_of_each(mut refined: Vec<(ObjectPose, f64)>) -> Vec<ObjectPose> {
-    let agreement = |seen: f64| if seen.is_nan() { f64::NEG_INFINITY } else { seen };
-    refined.sort_by(|a, b| a.0.identity().cmp(&b.0.identity()).then(agreement(b.1).total_cmp(&agreement(a.1))));
-    refined.dedup_by_key(|(pose, _)| pose.identity());
-    refined.into_iter().map(|(pose, _)| pose).collect()
+fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
+    let agreement = |look: &Look| if look.seen.is_nan() { f64::NEG_INFINITY } else { look.seen };
+    looks.sort_by(|a, b| a.pose.identity().cmp(&b.pose.identity()).then(agreement(b).total_cmp(&agreement(a))));
+    looks.dedup_by_key(|look| look.pose.identity());
+    looks
 }
 
 /// View 0 of each instance: the one at the initial pose.
-fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize) -> Result<ViewPlanes<'a>, NodeError> {
+pub(crate) fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize) -> Result<ViewPlanes<'a>, NodeError> {
     let at = instance * views.header.views_per_instance as usize;
     let (size_px, view) = (views.header.size_px as usize, &views.views[at]);
     let area = size_px * size_px;
@@ -219,6 +330,8 @@ fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize
         depth_m: &views.depth_m[at * area..(at + 1) * area],
         mask: &views.mask[at * area..(at + 1) * area],
         flow_px: &flow.flow_px[at * 2 * area..(at + 1) * 2 * area],
+        certainty: (flow.header.has_certainty == 1)
+            .then(|| [0, 1].map(|plane| &flow.certainty[(2 * at + plane) * area..(2 * at + plane + 1) * area])),
         intrinsics: Intrinsics { fx, fy, cx, cy },
         camera_from_object: pose_from_quaternion(&view.pose.rotation_xyzw, &view.pose.translation_m)?,
     };
@@ -233,7 +346,13 @@ impl Node for PnpNode {
     type Config = PnpNodeConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<ReferenceViews<'static>>("views"), PortSpec::required::<FlowFields<'static>>("flow")]
+        // Which of them are needed depends on `stages`; the first frame says what is missing.
+        vec![
+            PortSpec::optional::<ReferenceViews<'static>>("views"),
+            PortSpec::optional::<FlowFields<'static>>("flow"),
+            PortSpec::optional::<CameraFrame<'static>>("frame"),
+            PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
+        ]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -245,37 +364,35 @@ impl Node for PnpNode {
         if !(-1.0..=3.0).contains(&config.min_seen) {
             return Err(format!("`min_seen: {}`: give -1 to 3", config.min_seen).into());
         }
-        if let Some(gate) = &config.gate {
-            gate.validate()?;
-        }
-        Ok(())
+        config.gate.clone().unwrap_or_default().stage_model(Stage::Flow)?;
+        Joint::check(config)
     }
 
     fn create(config: PnpNodeConfig, _: &Context) -> Result<Self, NodeError> {
-        Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new() })
+        let model = config.gate.clone().unwrap_or_default().stage_model(Stage::Flow)?;
+        let joint = Joint::open(&config)?;
+        Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new(), model, joint })
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {
-        Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects())
+        match inputs.bytes("views") {
+            Some(_) => Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects()),
+            None => Some(read::<ObjectPoses<'static>>(inputs, "initial_poses").ok()?.poses.len()),
+        }
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
-        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
-        let flow = read::<FlowFields<'static>>(inputs, "flow")?;
-        if flow.header.fields as usize != views.views.len() + views.partners.len()
-            || flow.header.size_px != views.header.size_px
-        {
-            return Err(
-                "views and flow do not belong together: connect `flow` to the node that took the same `views`".into()
-            );
-        }
-        let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
-        let mut refined: Vec<(ObjectPose, f64)> = views.skipped.iter().map(|pose| (*pose, f64::NEG_INFINITY)).collect();
-        for instance in 0..views.header.instances as usize {
-            refined.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
-        }
-        let poses = best_of_each(refined);
-        let (scene_id, image_id) = (views.header.scene_id, views.header.image_id);
+        let poses: Vec<ObjectPose> = self.looks(inputs, context)?.into_iter().map(|look| look.pose).collect();
+        let (scene_id, image_id) = match inputs.bytes("views") {
+            Some(_) => {
+                let header = read::<ReferenceViews<'static>>(inputs, "views")?.header;
+                (header.scene_id, header.image_id)
+            }
+            None => {
+                let header = read::<ObjectPoses<'static>>(inputs, "initial_poses")?.header;
+                (header.scene_id, header.image_id)
+            }
+        };
         outputs.send("poses", inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, &poses);
         })
@@ -290,7 +407,7 @@ mod tests {
     fn of_several_poses_of_an_instance_the_one_that_is_seen_best_stays() {
         let pose = |object_id, instance, score, seen| {
             let zeroed: ObjectPose = bytemuck::Zeroable::zeroed();
-            (ObjectPose { object_id, instance, score, ..zeroed }, seen)
+            Look { pose: ObjectPose { object_id, instance, score, ..zeroed }, seen, refinement: None }
         };
         let refined = vec![
             pose(2, 0, 0.1, f64::NEG_INFINITY),
@@ -300,7 +417,8 @@ mod tests {
             pose(1, 0, 0.5, -0.2),
             pose(1, 1, 0.6, 1.9),
         ];
-        let kept: Vec<_> = best_of_each(refined).iter().map(|p| (p.object_id, p.instance, p.score)).collect();
+        let kept: Vec<_> =
+            best_of_each(refined).iter().map(|l| (l.pose.object_id, l.pose.instance, l.pose.score)).collect();
         assert_eq!(kept, [(1, 0, 0.5), (1, 1, 0.4), (2, 0, 0.1)]);
     }
 }

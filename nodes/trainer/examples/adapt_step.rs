@@ -60,7 +60,7 @@ fn messages(sizes: &Sizes) -> [AlignedBytes; 3] {
     message.mask.iter_mut().enumerate().for_each(|(p, v)| *v = 255 * u8::from(on_object(p % area)));
 
     let fields = (sizes.instances * (sizes.views + sizes.partners)) as u32;
-    let header = FlowFieldsHeader { fields, size_px: side, weights_version: 0 };
+    let header = FlowFieldsHeader { fields, size_px: side, weights_version: 0, has_certainty: 0, reserved: 0 };
     let mut flow = AlignedBytes::zeroed(FlowFields::byte_len(&header));
     FlowFields::write(&mut flow, header).flow_px.iter_mut().for_each(|v| *v = rng.random_range(-3.0..3.0));
 

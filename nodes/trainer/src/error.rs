@@ -28,6 +28,25 @@ pub enum TrainerError {
         /// The sample.
         index: u64,
     },
+    /// A folder of backgrounds holds no picture that can be used.
+    #[error(
+        "{folder}: {}; give folders with .jpg or .png pictures of at least 64 x 64 pixels that show something",
+        if *found == 0 { "no picture here".to_owned() } else { format!("none of {found} pictures can be used as a background") }
+    )]
+    NoPictures {
+        /// The folder.
+        folder: PathBuf,
+        /// How many pictures were looked at.
+        found: usize,
+    },
+    /// A folder could not be read.
+    #[error("{path}: {source}; check that it is a folder and may be read")]
+    Unreadable {
+        /// The folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
     /// A file could not be read or written.
     #[error("{path}: {source}; check that the folder exists and may be written")]
     Io {

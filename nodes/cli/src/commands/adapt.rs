@@ -9,6 +9,7 @@ mod training;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use judge::judge;
+use pseudoflow_network::ComputeDevice;
 use pseudoflow_runtime::supervisor;
 use pseudoflow_trainer::adapt::label_px;
 use std::path::{Path, PathBuf};
@@ -32,6 +33,9 @@ pub(crate) struct Args {
     /// The weights to write, if they are better. Log, checkpoint and report stand in a folder of the same name.
     #[arg(long)]
     out: PathBuf,
+    /// What trains and labels: auto, cpu, vulkan[:N] or cuda[:N]. A training may go on with another one.
+    #[arg(long, default_value = "auto")]
+    device: ComputeDevice,
     /// Training steps. A hundred take about half an hour on two cores.
     #[arg(long, default_value_t = 100)]
     steps: u64,

@@ -1,8 +1,11 @@
+mod table;
+
 use super::progress_bar;
 use crate::pipeline::{Finder, Frame, Pipeline, PipelineConfig};
 use anyhow::{Context as _, Result, bail, ensure};
 use pseudoflow_evaluator::{
-    Difference, EvalDataset, EvalImage, NamedEstimates, Report, evaluate, load_dataset, overlays,
+    Difference, EstimateDetails, EvalDataset, EvalImage, GateStep, NamedEstimates, Report, evaluate, load_dataset,
+    overlays,
 };
 use pseudoflow_flow::FlowConfig;
 use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
@@ -11,8 +14,11 @@ use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_initializer::{CompareConfig, InitializerConfig};
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
-use pseudoflow_pnp::PnpNodeConfig;
+use pseudoflow_network::ComputeDevice;
+use pseudoflow_pnp::gate::GateConfig;
+use pseudoflow_pnp::{Look, PnpNodeConfig, Refinement};
 use pseudoflow_renderer::RendererConfig;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -50,24 +56,33 @@ pub(crate) struct Args {
     /// Folder for `report.json` and `report.html`.
     #[arg(long)]
     report: Option<PathBuf>,
-    /// The network that the weights belong to: nano, small or paper.
-    #[arg(long, default_value = "nano")]
+    /// The network that the weights belong to: auto (as the weights say), refiner, nano, small or paper.
+    #[arg(long, default_value = "auto")]
     network: String,
     /// Width and height of the crops, pixels; several, for one pass after the other (`128,256`): the last one goes on.
     #[arg(long, value_delimiter = ',', default_value = "128")]
     size: Vec<u32>,
     /// Iterations of the network.
-    #[arg(long, default_value_t = 12)]
-    iterations: u32,
+    #[arg(long)]
+    iterations: Option<u32>,
     /// Refinement passes.
     #[arg(long, default_value_t = 1)]
     passes: u32,
-    /// Engine of the flow network: auto, onnxruntime or rten.
+    /// What computes flow: auto, cpu, vulkan[:N] or cuda[:N].
+    #[arg(long, default_value = "auto")]
+    device: ComputeDevice,
+    /// Engine of the flow network: auto, onnxruntime, rten or burn.
     #[arg(long, default_value = "auto")]
     backend: String,
     /// ONNX Runtime's library; else `ORT_DYLIB_PATH`, as everywhere.
     #[arg(long)]
     onnxruntime: Option<PathBuf>,
+    /// The gate's model, a file that `pseudoflow calibrate` wrote; without it that of the binary.
+    #[arg(long, conflicts_with = "no_gate")]
+    gate: Option<PathBuf>,
+    /// Smallest probability of being better for a refined pose to be accepted, 0..1.
+    #[arg(long, conflicts_with = "no_gate")]
+    min_better: Option<f64>,
     /// Accept every refined pose, also those that the gate would refuse.
     #[arg(long)]
     no_gate: bool,
@@ -77,6 +92,12 @@ pub(crate) struct Args {
     /// Seed of the run.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Objects to report without, too, `7` or `7,3`: those whose mesh is too coarse to judge by, say.
+    #[arg(long, value_delimiter = ',', value_name = "ID")]
+    exclude_objects: Vec<u32>,
+    /// Only every n-th image of the split, for a quick look.
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    every: usize,
     /// Instead of evaluating: shows the difference of two reports and writes `compare.html` into `--report`.
     #[arg(long, num_args = 2, value_names = ["BEFORE.json", "AFTER.json"])]
     compare: Option<Vec<PathBuf>>,
@@ -118,7 +139,7 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     if args.weights.is_some() || initializer(args).is_some() {
         check_name(args)?;
     }
-    let dataset = load_dataset(args.dataset(), &args.split, args.targets.as_deref())?;
+    let dataset = dataset(args)?;
     let sets = match (&args.weights, initializer(args)) {
         (Some(weights), _) => refine_dataset(args, weights, &dataset)?,
         (None, Some(initializer)) => {
@@ -131,17 +152,20 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
             }
             std::fs::rename(&part, args.csv())
                 .with_context(|| format!("{}: cannot be written", args.csv().display()))?;
-            vec![NamedEstimates { name: "init".into(), estimates }]
+            vec![NamedEstimates::new("init", estimates)]
         }
         (None, None) => {
             let estimates = read_results(args.csv(), Some(&dataset.known))?;
-            vec![NamedEstimates { name: "estimate".into(), estimates }]
+            vec![NamedEstimates::new("estimate", estimates)]
         }
     };
     let bar = progress_bar(dataset.images.len() as u64, "score");
-    let report = evaluate(&dataset, &sets, &|done, _| bar.set_position(done as u64))?;
+    let mut report = evaluate(&dataset, &sets, &|done, _| bar.set_position(done as u64))?;
     bar.finish_and_clear();
-    print!("{}", table(&report));
+    if !args.exclude_objects.is_empty() {
+        report.leave_out(&args.exclude_objects)?;
+    }
+    print!("{}", table::table(&report));
     if let Some(folder) = &args.report {
         std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
         report.write_json(&folder.join("report.json"))?;
@@ -149,6 +173,18 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
         println!("report: {}", folder.join("report.html").display());
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The split, or every n-th image of it.
+fn dataset(args: &Args) -> Result<EvalDataset> {
+    ensure!(args.every > 0, "`--every 0`: give 1 for every image, 4 for every fourth");
+    let mut dataset = load_dataset(args.dataset(), &args.split, args.targets.as_deref())?;
+    if args.every > 1 {
+        let all = dataset.images.len();
+        dataset.images = dataset.images.into_iter().step_by(args.every).collect();
+        dataset.notes.push(format!("Only {} of {all} images: every {}.", dataset.images.len(), args.every));
+    }
+    Ok(dataset)
 }
 
 /// A submission is named METHOD_DATASET-SPLIT.csv, and the benchmark reads dataset and split from there. The folder
@@ -178,22 +214,25 @@ fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<
         true => ResultsWriter::resume(&part)?,
         false => (ResultsWriter::create(&part)?, Vec::new()),
     };
+    // A result file has no place for what else is known of a pose.
+    let mut details = vec![EstimateDetails::default(); refined.len()];
     let bar = progress_bar(dataset.images.len() as u64, "refine");
     for image in &dataset.images {
         let is_here = |e: &&Estimate| (e.scene_id, e.image_id) == (image.scene_id, image.frame.image_id);
         if !refined.iter().any(|e| is_here(&e)) {
             let here: Vec<&Initial> = initial.iter().filter(|i| is_here(&&i.estimate)).collect();
-            let estimates = refine_image(&mut passes, image, &here)?;
+            let (estimates, of_them) = refine_image(&mut passes, image, &here)?;
             writer.write_image(&estimates)?;
             refined.extend(estimates);
+            details.extend(of_them);
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
     std::fs::rename(&part, args.csv()).with_context(|| format!("{}: cannot be written", args.csv().display()))?;
     Ok(vec![
-        NamedEstimates { name: "init".into(), estimates: first_of_each(&initial) },
-        NamedEstimates { name: "refined".into(), estimates: refined },
+        NamedEstimates::new("init", first_of_each(&initial)),
+        NamedEstimates { details, ..NamedEstimates::new("refined", refined) },
     ])
 }
 
@@ -202,9 +241,17 @@ fn engine(args: &Args) -> Result<EngineConfig> {
         "auto" => Backend::Auto,
         "onnxruntime" => Backend::OnnxRuntime,
         "rten" => Backend::Rten,
-        other => bail!("`--backend {other}`: write auto, onnxruntime or rten"),
+        "burn" => Backend::Burn,
+        other => bail!("`--backend {other}`: write auto, onnxruntime, rten or burn"),
     };
     Ok(EngineConfig { backend, onnxruntime: args.onnxruntime.clone(), ..EngineConfig::default() })
+}
+
+/// The initializer's: it runs ONNX files on the processor.
+fn finder_engine(args: &Args) -> Result<EngineConfig> {
+    let engine = engine(args)?;
+    let backend = if engine.backend == Backend::Burn { Backend::Auto } else { engine.backend };
+    Ok(EngineConfig { backend, ..engine })
 }
 
 /// A pipeline for each size, with the passes that it makes.
@@ -224,10 +271,10 @@ fn pipeline_config(
     dataset: &EvalDataset,
     (size_px, passes): (u32, u32),
 ) -> Result<PipelineConfig> {
-    let mut pnp = PnpNodeConfig::default();
-    if args.no_gate {
-        pnp.gate = None;
-    }
+    let default = GateConfig::default();
+    let min_better = args.min_better.unwrap_or(default.min_better);
+    let gate = GateConfig { model: args.gate.clone(), min_better, ..default };
+    let pnp = PnpNodeConfig { gate: (!args.no_gate).then_some(gate), ..PnpNodeConfig::default() };
     Ok(PipelineConfig {
         renderer: RendererConfig::new(args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone()), size_px),
         flow: FlowConfig {
@@ -236,6 +283,7 @@ fn pipeline_config(
             size_px,
             iterations: args.iterations,
             max_batch: 16,
+            device: args.device,
             engine: engine(args)?,
             lockstep: None,
         },
@@ -274,7 +322,7 @@ fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<In
     let config = InitializerConfig {
         network: args.init_network.clone(),
         compare: args.init_compare.clone().map(CompareConfig::new),
-        engine: engine(args)?,
+        engine: finder_engine(args)?,
         ..InitializerConfig::new(weights.to_owned(), objects)
     };
     let mut finder = Finder::open(config, args.seed)?;
@@ -320,17 +368,43 @@ fn estimate(image: &EvalImage, pose: &ObjectPose) -> Result<Estimate> {
     })
 }
 
-fn refine_image(passes: &mut [Pipeline], image: &EvalImage, initial: &[&Initial]) -> Result<Vec<Estimate>> {
+/// The refined poses of an image, and what else is known of each.
+fn refine_image(
+    passes: &mut [Pipeline],
+    image: &EvalImage,
+    initial: &[&Initial],
+) -> Result<(Vec<Estimate>, Vec<EstimateDetails>)> {
     let rgb = image.frame.load_image()?;
     let mut poses: Vec<ObjectPose> = initial.iter().map(|i| given(&i.estimate, i.instance)).collect();
     let mut took = std::time::Duration::ZERO;
+    let mut looks: Vec<Vec<Look>> = Vec::new();
     for pipeline in passes {
         let refined = pipeline.refine(&frame(image, &rgb), &poses)?;
         took += refined.stages.iter().sum::<std::time::Duration>();
-        poses = refined.passes.last().context("a pipeline makes a pass")?.clone();
+        looks.extend(refined.passes);
+        poses = looks.last().context("a pipeline makes a pass")?.iter().map(|look| look.pose).collect();
     }
     let image_time_s = Some(took.as_secs_f64());
-    poses.iter().map(|pose| Ok(Estimate { image_time_s, ..estimate(image, pose)? })).collect()
+    let estimates: Result<_> = poses.iter().map(|p| Ok(Estimate { image_time_s, ..estimate(image, p)? })).collect();
+    Ok((estimates?, poses.iter().map(|pose| details(pose, &looks)).collect()))
+}
+
+/// What a pose says about itself, and the gate's decisions that led to it.
+fn details(pose: &ObjectPose, passes: &[Vec<Look>]) -> EstimateDetails {
+    let of_it = passes.iter().flatten().filter(|look| look.pose.identity() == pose.identity());
+    let steps = of_it.filter_map(|look| look.refinement.as_ref());
+    EstimateDetails {
+        confidence: Some(pose.score),
+        covariance: (pose.source == PoseSource::Refined as u32).then_some(pose.covariance),
+        gate: steps.map(gate_step).collect(),
+    }
+}
+
+fn gate_step(refinement: &Refinement) -> GateStep {
+    let known = serde_json::to_value(refinement.features.known()).and_then(serde_json::from_value);
+    let mut evidence: BTreeMap<String, f64> = known.unwrap_or_default();
+    evidence.insert("better".into(), refinement.verdict.better);
+    GateStep { before: refinement.before, after: refinement.after, accepted: refinement.accepted, evidence }
 }
 
 fn given(estimate: &Estimate, instance: u32) -> ObjectPose {
@@ -345,65 +419,6 @@ fn given(estimate: &Estimate, instance: u32) -> ObjectPose {
         translation_m: pose.translation.vector.into(),
         covariance: [0.0; 36],
     }
-}
-
-/// The scores by object and set as text.
-pub(crate) fn table(report: &Report) -> String {
-    let mut text = format!(
-        "{:24} {:9} {:>5} {:>12} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}\n",
-        "object", "poses", "n", "ADD(-S)-0.1d", "AUC", "MSSD", "MSPD", "VSD", "AR", "ms"
-    );
-    let mut row = |object: &str, set: &str, s: &pseudoflow_evaluator::Scores| {
-        text += &format!(
-            "{object:24} {set:9} {:>5} {:>12.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8}\n",
-            s.n,
-            s.add_s_recall,
-            s.auc_add_s,
-            s.mssd_recall,
-            s.mspd_recall,
-            s.vsd_recall,
-            s.ar,
-            s.ms_per_object.map_or("-".into(), |ms| format!("{ms:.1}")),
-        );
-    };
-    for (id, sets) in &report.per_object {
-        let name = report.objects.get(id).map_or_else(|| id.to_string(), |object| format!("{id} {}", object.name));
-        report.sets.iter().filter_map(|set| sets.get(set).map(|s| (set, s))).for_each(|(set, s)| row(&name, set, s));
-    }
-    report
-        .sets
-        .iter()
-        .filter_map(|set| report.overall.get(set).map(|s| (set, s)))
-        .for_each(|(set, s)| row("all", set, s));
-    text += &found(report);
-    text += &made_wrong(report);
-    text
-}
-
-/// How many of the well visible instances were found, and how well they were turned.
-fn found(report: &Report) -> String {
-    let mut text = String::new();
-    for set in &report.sets {
-        let (Some(scores), Some(recall)) =
-            (report.overall.get(set), report.overall.get(set).and_then(|s| s.detection_recall))
-        else {
-            continue;
-        };
-        let degrees = scores.median_rotation_deg.map_or("-".into(), |d| format!("{d:.1} deg"));
-        text +=
-            &format!("{set}: found {recall:.3} of what is at least 60 % visible; median rotation error {degrees}\n");
-    }
-    text
-}
-
-/// How many of the initially right instances are wrong after refinement: what the gate is there to prevent.
-fn made_wrong(report: &Report) -> String {
-    let (Some(before), Some(after)) = (report.instances.get("init"), report.instances.get("refined")) else {
-        return String::new();
-    };
-    let right = before.iter().filter(|b| b.add_s_correct).count();
-    let spoilt = before.iter().zip(after).filter(|(b, a)| b.add_s_correct && !a.add_s_correct).count();
-    format!("right before, wrong after: {spoilt} of {right}\n")
 }
 
 pub(crate) fn compare(args: &CompareArgs) -> Result<ExitCode> {

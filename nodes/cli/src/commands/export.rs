@@ -11,28 +11,28 @@ pub(crate) struct Args {
     /// The `.onnx` file to write.
     #[arg(long)]
     out: PathBuf,
-    /// The network that they belong to: nano, small or paper.
-    #[arg(long, default_value = "nano")]
+    /// The network that they belong to: auto (as the weights say), refiner, nano, small or paper.
+    #[arg(long, default_value = "auto")]
     network: String,
     /// Width and height of the crops that the network will see, pixels.
     #[arg(long, default_value_t = 128)]
     size: u32,
-    /// Refinement iterations.
-    #[arg(long, default_value_t = 12)]
-    iterations: u32,
+    /// Refinement iterations; the network's own number where absent.
+    #[arg(long)]
+    iterations: Option<u32>,
 }
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     let network = network(&args.network)?;
     let onnx = pseudoflow_flow::load_model(&args.weights, network, args.size, args.iterations)?;
     write_whole(&args.out, &onnx)?;
-    println!("{}: {} bytes, {} px, {} iterations", args.out.display(), onnx.len(), args.size, args.iterations);
+    println!("{}: {} bytes, {} px", args.out.display(), onnx.len(), args.size);
     Ok(ExitCode::SUCCESS)
 }
 
 /// The network of a name.
 pub(crate) fn network(name: &str) -> Result<Network> {
-    serde_yaml::from_str(name).map_err(|_| anyhow!("`--network {name}`: write nano, small or paper"))
+    serde_yaml::from_str(name).map_err(|_| anyhow!("`--network {name}`: write auto, refiner, nano, small or paper"))
 }
 
 /// Writes beside and renames: the file is there whole or not at all.

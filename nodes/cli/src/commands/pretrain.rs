@@ -1,9 +1,11 @@
-use anyhow::{Context as _, Result};
-use pseudoflow_imaging::{ObjectSet, RgbImage, save_png};
+use super::frames::picture_folders;
+use anyhow::{Context as _, Result, bail};
+use pseudoflow_imaging::{RgbImage, save_png};
+use pseudoflow_network::ComputeDevice;
 use pseudoflow_trainer::initializer::{InitializerTraining, scene_sheet, train_initializer};
-use pseudoflow_trainer::pretrain::{PretrainConfig, TerminalProgress, WarmStart, pretrain};
+use pseudoflow_trainer::pretrain::{Course, PretrainConfig, TerminalProgress, WarmStart, pretrain};
 use pseudoflow_trainer::preview_sheet;
-use pseudoflow_trainer::synth::SampleGenerator;
+use pseudoflow_trainer::synth::{ObjectPool, SampleGenerator};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -22,18 +24,39 @@ pub(crate) struct Args {
     /// Which network to train.
     #[arg(long, value_enum, default_value = "flow")]
     stage: Stage,
-    /// The object set: a BOP `models/` folder. One network is trained for all its objects.
-    #[arg(long)]
-    objects: PathBuf,
-    /// nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
+    /// The objects: BOP `models/` folders. One network is trained for all of them (initializer: one folder).
+    #[arg(long, value_delimiter = ',', required = true, value_name = "DIR[,DIR...]")]
+    objects: Vec<PathBuf>,
+    /// refiner, nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
     #[arg(long, default_value = "nano")]
     network: String,
+    /// Flow: photographs for walls, tables and cards of the scenes, without any annotation: folders of pictures (and the
+    /// folders in them), or recordings (bags), whose frames are copied to a folder beside `--out`.
+    #[arg(long, value_delimiter = ',', value_name = "DIR|BAG[,...]")]
+    backgrounds: Vec<PathBuf>,
+    /// Flow: leaves out meshes and pictures that their folder's `meta.json` does not release for shipping.
+    #[arg(long)]
+    only_shippable: bool,
+    /// Flow: what the synthetic pairs look like, a YAML or JSON file with any of the keys of `SynthConfig`. `--preview`
+    /// shows what comes out.
+    #[arg(long, value_name = "FILE")]
+    synth: Option<PathBuf>,
     /// The weights to write (.safetensors). Log, plot and checkpoint stand beside them.
     #[arg(long)]
     out: PathBuf,
     /// Optimiser steps.
     #[arg(long)]
     steps: Option<u64>,
+    /// Refiner: the learning rate falls over the last so many steps. With `--resume` and more `--steps` the training goes on from
+    /// before that.
+    #[arg(long)]
+    cool_down: Option<u64>,
+    /// Every n-th object is kept out of the training; the error on renderings of these is the learning curve.
+    #[arg(long, value_name = "N")]
+    hold_out: Option<usize>,
+    /// Steps between checkpoints.
+    #[arg(long)]
+    checkpoint_every: Option<u64>,
     /// Pairs (initializer: images) in a step.
     #[arg(long)]
     batch: Option<usize>,
@@ -50,6 +73,9 @@ pub(crate) struct Args {
     /// this repository, which knows other objects; a flow network may be given too).
     #[arg(long)]
     warm_start: Option<PathBuf>,
+    /// What trains: auto, cpu, vulkan[:N] or cuda[:N]. A training may go on with another one.
+    #[arg(long, default_value = "auto")]
+    device: ComputeDevice,
     /// Goes on from the checkpoint.
     #[arg(long)]
     resume: bool,
@@ -70,34 +96,47 @@ impl Args {
         }
     }
 
-    fn flow(&self) -> PretrainConfig {
+    fn flow(&self) -> Result<PretrainConfig> {
         let mut config = PretrainConfig::new(self.objects.clone(), &self.network, self.out.clone());
         config.steps = self.steps.unwrap_or(config.steps);
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
-        (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
-        config
+        config.hold_out = self.hold_out.unwrap_or(config.hold_out);
+        config.checkpoint_every = self.checkpoint_every.unwrap_or(config.checkpoint_every);
+        config.schedule = self.cool_down.map(|cool_down| Course::Plateau { warm_up: 500, cool_down });
+        (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
+        config.warm_start = self.warm_start();
+        config.only_shippable = self.only_shippable;
+        config.backgrounds = picture_folders(&self.backgrounds, &self.out)?;
+        if let Some(path) = &self.synth {
+            let text = std::fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+            config.synth = serde_yaml::from_str(&text)
+                .with_context(|| format!("{}: not what `synth` may hold", path.display()))?;
+        }
+        Ok(config)
     }
 
-    fn initializer(&self) -> InitializerTraining {
-        let mut config = InitializerTraining::new(self.objects.clone(), &self.network, self.out.clone());
+    fn initializer(&self) -> Result<InitializerTraining> {
+        let [objects] = self.objects.as_slice() else { bail!("--objects: an initializer takes one folder") };
+        let mut config = InitializerTraining::new(objects.clone(), &self.network, self.out.clone());
         config.block = self.block.unwrap_or(config.block);
         config.steps = self.steps.unwrap_or(config.steps);
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
-        (config.seed, config.resume, config.warm_start) = (self.seed, self.resume, self.warm_start());
-        config
+        (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
+        config.warm_start = self.warm_start();
+        Ok(config)
     }
 }
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     match (args.stage, &args.preview) {
-        (Stage::Flow, Some(sheet)) => preview(&args.flow(), sheet),
-        (Stage::Flow, None) => flow(&args.flow()),
-        (Stage::Initializer, Some(sheet)) => written(&scene_sheet(&args.initializer(), 12)?, sheet),
-        (Stage::Initializer, None) => initializer(&args.initializer()),
+        (Stage::Flow, Some(sheet)) => preview(&args.flow()?, sheet),
+        (Stage::Flow, None) => flow(&args.flow()?),
+        (Stage::Initializer, Some(sheet)) => written(&scene_sheet(&args.initializer()?, 12)?, sheet),
+        (Stage::Initializer, None) => initializer(&args.initializer()?),
     }
 }
 
@@ -129,9 +168,13 @@ fn initializer(config: &InitializerTraining) -> Result<ExitCode> {
 
 fn preview(config: &PretrainConfig, sheet: &Path) -> Result<ExitCode> {
     config.check()?;
-    let size_px = config.resolve_network()?.size_px as u32;
-    let objects = Arc::new(ObjectSet::load(&config.objects)?);
-    let samples = SampleGenerator::new(objects, config.synth.clone(), config.seed)?.batch(0, 8, size_px)?;
+    let size_px = config.network_size_px()? as u32;
+    let objects = Arc::new(ObjectPool::load(&config.objects)?);
+    let generator = SampleGenerator::new(objects, config.synth.clone(), config.seed)?;
+    let generator = generator.with_backgrounds(&config.backgrounds, config.only_shippable)?;
+    // One pair of each of a dozen scenes.
+    let each = generator.pairs_per_scene();
+    let samples: Vec<_> = generator.batch(0, 12 * each, size_px)?.into_iter().step_by(each).collect();
     written(&preview_sheet(&samples), sheet)
 }
 

@@ -21,7 +21,22 @@ fn report(correct: &[bool]) -> Report {
         per_object: BTreeMap::new(),
         objects: BTreeMap::new(),
         instances: [("refined".into(), instances)].into(),
+        diagnosis: BTreeMap::new(),
+        object_diagnosis: BTreeMap::new(),
+        without: None,
     }
+}
+
+#[test]
+fn an_old_report_without_a_diagnosis_can_be_read_and_compared() {
+    let mut old = serde_json::to_value(report(&[true, false])).unwrap();
+    ["diagnosis", "object_diagnosis", "without"].iter().for_each(|key| _ = old.as_object_mut().unwrap().remove(*key));
+    for instance in old["instances"]["refined"].as_array_mut().unwrap() {
+        let fields = ["depth_of_diameter", "add_s_true_depth_of_diameter", "confidence", "mahalanobis2", "gate"];
+        fields.iter().for_each(|key| assert!(instance.as_object_mut().unwrap().remove(*key).is_some(), "{key}"));
+    }
+    let old: Report = serde_json::from_value(old).unwrap();
+    assert_eq!(compare(&old, &report(&[true, true])).unwrap().overall["add_s_recall_0.1d"].difference, 0.5);
 }
 
 #[test]

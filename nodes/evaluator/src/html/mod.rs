@@ -1,6 +1,7 @@
 //! Self-contained pages: no script, no file beside them.
 
 mod chart;
+mod diagnosis;
 mod report_page;
 
 pub(crate) use chart::{Series, histogram, line_chart};

@@ -11,9 +11,10 @@ impl Report {
     /// When the file cannot be written.
     pub fn write_html(&self, path: &Path, pictures: &[OverlayCase]) -> Result<(), EvalError> {
         let body = format!(
-            "{}<h2>Scores</h2>{}<h2>Recall</h2>{}<h2>Errors</h2>{}{}",
+            "{}<h2>Scores</h2>{}<h2>What is wrong</h2>{}<h2>Recall</h2>{}<h2>Errors</h2>{}{}",
             self.intro(),
             self.table(),
+            self.diagnosis_page(),
             self.recall_curves(),
             self.histograms(),
             self.pictures(pictures)
@@ -22,7 +23,7 @@ impl Report {
         std::fs::write(path, text).map_err(EvalError::io(path))
     }
 
-    fn colour(&self, set: &str) -> String {
+    pub(super) fn colour(&self, set: &str) -> String {
         let index = self.sets.iter().position(|s| s == set).unwrap_or(0);
         css_colour(SET_COLOURS[index % SET_COLOURS.len()])
     }
@@ -52,6 +53,10 @@ impl Report {
             self.sets.iter().for_each(|set| row(&mut html, &name, set, sets.get(set), ""));
         }
         self.sets.iter().for_each(|set| row(&mut html, "all", set, self.overall.get(set), " class=\"overall\""));
+        if let Some(without) = &self.without {
+            let name = without.name();
+            self.sets.iter().for_each(|set| row(&mut html, &name, set, without.overall.get(set), " class=\"overall\""));
+        }
         html + "</table>\n"
     }
 
@@ -91,6 +96,7 @@ impl Report {
             + &histogram("Translation error", "mm", 100.0, &values(&|i| i.translation_m.map(|m| m * 1e3)))
             + &histogram("ADD(-S)", "diameters", 0.5, &values(&|i| i.add_s_of_diameter))
             + &histogram("Projection error", "px", 30.0, &values(&|i| i.projection_px))
+            + &histogram("Depth error", "diameters", 0.4, &values(&|i| i.depth_of_diameter.map(f64::abs)))
     }
 
     fn pictures(&self, cases: &[OverlayCase]) -> String {

@@ -12,8 +12,8 @@ pub struct TrackConfig {
     pub confirm_after: u32,
     /// Bad frames in a row after which a track is lost.
     pub lose_after: u32,
-    /// A pose with a smaller inlier ratio is a bad one, 0..1.
-    pub min_inlier_ratio: f64,
+    /// A pose with a smaller confidence (pnp's probability that it is right) is a bad one, 0..1.
+    pub min_confidence: f64,
     /// Largest distance of a pose from its prediction, diameters.
     pub max_jump_diameters: f64,
     /// Largest angle of a pose from its prediction, degrees.
@@ -28,7 +28,7 @@ impl Default for TrackConfig {
             search_every: 5,
             confirm_after: 2,
             lose_after: 3,
-            min_inlier_ratio: 0.3,
+            min_confidence: 0.15,
             max_jump_diameters: 0.5,
             max_turn_deg: 40.0,
             velocity_gain: 0.7,
@@ -48,7 +48,7 @@ impl TrackConfig {
             ("track.search_every", f64::from(self.search_every), count(self.search_every), "1 to 1000"),
             ("track.confirm_after", f64::from(self.confirm_after), count(self.confirm_after), "1 to 1000"),
             ("track.lose_after", f64::from(self.lose_after), count(self.lose_after), "1 to 1000"),
-            ("track.min_inlier_ratio", self.min_inlier_ratio, share(self.min_inlier_ratio), "0 to 1"),
+            ("track.min_confidence", self.min_confidence, share(self.min_confidence), "0 to 1"),
             ("track.max_jump_diameters", self.max_jump_diameters, self.max_jump_diameters > 0.0, "a number over 0"),
             ("track.max_turn_deg", self.max_turn_deg, (0.0..=180.0).contains(&self.max_turn_deg), "0 to 180"),
             ("track.velocity_gain", self.velocity_gain, share(self.velocity_gain), "0 to 1"),

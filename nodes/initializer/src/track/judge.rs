@@ -19,7 +19,7 @@ pub(super) fn judge(
         Some(PoseStatus::NotSeen) => return Err(TrackReason::NotSeen),
         _ => return Err(TrackReason::NotSolved),
     }
-    if pose.score < config.min_inlier_ratio {
+    if pose.score < config.min_confidence {
         return Err(TrackReason::NotSeen);
     }
     let there = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).map_err(|_| TrackReason::NotSolved)?;

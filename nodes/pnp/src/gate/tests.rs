@@ -1,6 +1,9 @@
 //! A textured ball, rendered at one pose as the reference and at another as the "real" crop.
 
-use super::{Evidence, Gate, GateConfig, GateReason, GateView};
+use super::{
+    CovarianceScale, Decision, Evidence, Feature, Features, Gate, GateConfig, GateModel, GateReason, GateView, Scale,
+    Stage, Verdict,
+};
 use nalgebra::{Point2, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_solver::{PnpError, PnpResult, PnpStatus};
@@ -71,6 +74,16 @@ fn result(inlier_ratio: f64) -> PnpResult {
     }
 }
 
+const SCALE: Scale =
+    Scale { size_px: SIZE, crop_side_px: 64.0, threshold_px: 1.5, diameter_m: 2.0 * RADIUS_M, initial_depth_m: 0.7 };
+
+/// As the node decides, by the model of the binary.
+fn decide(config: &GateConfig, result: &PnpResult, evidence: &Evidence) -> Decision {
+    let model = config.stage_model(Stage::Flow).unwrap();
+    let verdict = model.verdict(&Features::of(result, evidence, &SCALE));
+    config.decide(result, evidence, &verdict, SIZE)
+}
+
 #[test]
 fn the_true_pose_agrees_with_the_pictures_and_is_accepted() {
     let found = evidence(40.0, &truth());
@@ -78,7 +91,7 @@ fn the_true_pose_agrees_with_the_pictures_and_is_accepted() {
     // Not 1: blocks with faint texture count for less than their correlation, as sensor noise would drown them.
     assert!(found.photometric_refined > 0.85 && found.photometric_initial < 0.5, "{found:?}");
     assert!(found.silhouette_refined > found.silhouette_initial, "{found:?}");
-    let decision = GateConfig::default().decide(&result(0.9), &found, SIZE);
+    let decision = decide(&GateConfig::default(), &result(0.9), &found);
     assert!(decision.accept && decision.reason == GateReason::Passed);
 }
 
@@ -87,8 +100,8 @@ fn a_worse_pose_is_refused_by_the_pictures() {
     // As far on the other side of the initial pose as the truth is on this side.
     let wrong = initial() * truth().inverse() * initial();
     let found = evidence(40.0, &wrong);
-    let decision = GateConfig::default().decide(&result(0.9), &found, SIZE);
-    assert!(!decision.accept && matches!(decision.reason, GateReason::Photometric(..)), "{found:?}");
+    let decision = decide(&GateConfig::default(), &result(0.9), &found);
+    assert!(!decision.accept && matches!(decision.reason, GateReason::Better(..)), "{decision:?} {found:?}");
 }
 
 #[test]
@@ -104,54 +117,87 @@ fn staying_changes_nothing() {
 fn without_texture_only_the_contour_speaks() {
     let found = evidence(0.0, &truth());
     assert_eq!(found.blocks, 0);
-    assert!(GateConfig::default().decide(&result(0.9), &found, SIZE).accept);
-    let aside = Pose::new(Vector3::new(-0.015, 0.012, 0.7), Vector3::new(0.2, -0.4, 0.1));
-    let decision = GateConfig::default().decide(&result(0.9), &evidence(0.0, &aside), SIZE);
-    assert!(matches!(decision.reason, GateReason::Silhouette(..)), "{decision:?}");
-}
-
-#[test]
-fn few_inliers_without_a_gain_in_the_picture_are_refused() {
-    let found = evidence(40.0, &initial());
-    let decision = GateConfig::default().decide(&result(0.45), &found, SIZE);
-    assert!(matches!(decision.reason, GateReason::Agreement(..)), "{decision:?}");
-    assert!(GateConfig::default().decide(&result(0.9), &found, SIZE).accept);
-}
-
-#[test]
-fn a_texture_that_the_camera_does_not_see_leaves_it_to_the_contour() {
-    let found = Evidence { photometric_initial: -0.1, photometric_refined: -0.3, ..evidence(40.0, &truth()) };
-    assert!(GateConfig::default().decide(&result(0.9), &found, SIZE).accept);
-}
-
-#[test]
-fn the_contour_can_carry_a_pose_of_few_inliers() {
-    let plain = Evidence { photometric_initial: 0.0, photometric_refined: 0.0, ..evidence(40.0, &initial()) };
-    let decide = |silhouette_refined: f64| {
-        let found = Evidence { silhouette_initial: 0.4, silhouette_refined, ..plain };
-        GateConfig::default().decide(&result(0.45), &found, SIZE)
+    let features = Features::of(&result(0.9), &found, &SCALE);
+    for feature in
+        [Feature::PhotometricInitial, Feature::PhotometricRefined, Feature::PhotometricGain, Feature::Textured]
+    {
+        assert_eq!(features.get(feature), 0.0);
+    }
+    let better = |pose: &Pose| {
+        let features = Features::of(&result(0.7), &evidence(0.0, pose), &SCALE);
+        GateConfig::default().stage_model(Stage::Flow).unwrap().verdict(&features).better
     };
-    assert!(matches!(decide(0.5).reason, GateReason::Agreement(..)));
-    assert!(decide(0.9).accept);
+    let aside = Pose::new(Vector3::new(-0.015, 0.012, 0.7), Vector3::new(0.2, -0.4, 0.1));
+    assert!(better(&truth()) > better(&aside) + 0.1, "{} {}", better(&truth()), better(&aside));
+}
+
+#[test]
+fn features_are_finite_and_in_their_units() {
+    let found = evidence(40.0, &truth());
+    let covariance = std::array::from_fn(|i| if i % 7 == 0 { if i < 21 { 1.44e-6 } else { 1e-4 } } else { 0.0 });
+    let solved = PnpResult { covariance, ..result(0.9) };
+    let features = Features::of(&solved, &found, &SCALE);
+    for feature in &Feature::ALL[..19] {
+        assert!(features.get(*feature).is_finite(), "{feature:?}");
+    }
+    assert!((features.get(Feature::LnTranslationSigma) - 0.01_f64.ln()).abs() < 1e-9);
+    assert!((features.get(Feature::LnRotationSigma) - 0.01_f64.ln()).abs() < 1e-9);
+    assert!((features.get(Feature::LnMagnification) - 2_f64.ln()).abs() < 1e-9);
+    assert!((features.get(Feature::DepthChange) - 0.01 / 0.12).abs() < 1e-9);
+    assert!(features.get(Feature::ContourAgreement).is_nan(), "the contour stage's own");
 }
 
 #[test]
 fn each_limit_can_refuse() {
     let found = evidence(40.0, &truth());
     let config = GateConfig::default();
-    let refusal = |config: &GateConfig, result: &PnpResult| config.decide(result, &found, SIZE).reason;
-    assert!(matches!(refusal(&config, &result(0.1)), GateReason::InlierRatio(..)));
-    assert!(matches!(refusal(&config, &result(f64::NAN)), GateReason::InlierRatio(..)));
+    let refusal = |config: &GateConfig, result: &PnpResult| decide(config, result, &found).reason;
     let failed = PnpResult { status: PnpStatus::NotFinite, ..result(0.9) };
     assert_eq!(refusal(&config, &failed), GateReason::PnpFailed);
-    let needy = GateConfig { min_agreement: 2.0, ..config.clone() };
-    assert!(matches!(refusal(&needy, &result(0.9)), GateReason::Agreement(..)));
-    // What few inliers carry passes by its gain in the picture.
-    assert_eq!(refusal(&config, &result(0.45)), GateReason::Passed);
     let near = GateConfig { max_displacement: 1e-3, ..config.clone() };
     assert!(matches!(refusal(&near, &result(0.9)), GateReason::Displacement(..)));
-    let stiff = GateConfig { max_rotation_rad: 1e-3, ..config };
+    let stiff = GateConfig { max_rotation_rad: 1e-3, ..config.clone() };
     assert!(matches!(refusal(&stiff, &result(0.9)), GateReason::Rotation(..)));
+    let sure = GateConfig { min_better: 1.0, ..config.clone() };
+    assert!(matches!(refusal(&sure, &result(0.9)), GateReason::Better(..)));
+    let unknown = Verdict { better: f64::NAN, refined_right: 0.9, initial_right: 0.1 };
+    assert!(!config.decide(&result(0.9), &found, &unknown, SIZE).accept);
+}
+
+#[test]
+fn more_inliers_are_surer() {
+    let model = GateConfig::default().stage_model(Stage::Flow).unwrap();
+    let found = evidence(40.0, &truth());
+    let right = |ratio| model.verdict(&Features::of(&result(ratio), &found, &SCALE)).refined_right;
+    assert!(right(0.9) > right(0.5) && right(0.5) > right(0.2));
+}
+
+#[test]
+fn a_covariance_is_scaled_by_blocks() {
+    let scale = CovarianceScale {
+        translation: 2_f64.ln(),
+        translation_slope: 3_f64.ln(),
+        rotation: 5_f64.ln(),
+        rotation_slope: 0.0,
+    };
+    let scaled = scale.apply(&[1.0; 36], 0.0);
+    let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
+    assert!(close(scaled[0], 36.0) && close(scaled[2 * 6 + 4], 30.0) && close(scaled[35], 25.0), "{scaled:?}");
+    assert!(close(scale.apply(&[1.0; 36], 1.0)[7], 4.0));
+}
+
+#[test]
+fn a_model_is_read_strictly() {
+    let text = include_str!("../../../../config/gate.yaml");
+    assert!(GateModel::parse(text, "here").is_ok());
+    let parse = |text: &str| GateModel::parse(text, "here").unwrap_err().to_string();
+    assert!(parse(&text.replacen("scale: ", "scale: -", 1)).contains("scale not positive"));
+    assert!(parse(&text.replacen("samples", "sample", 1)).contains("sample"));
+    assert!(parse(&text.replacen("inlier_ratio", "inlier_share", 1)).contains("inlier_share"));
+    let model = GateModel { stages: Default::default(), made_by: "nobody".into() };
+    assert!(model.stage(Stage::Region).unwrap_err().to_string().contains("pseudoflow calibrate"));
+    let missing = GateConfig { model: Some("/nowhere.yaml".into()), ..GateConfig::default() };
+    assert!(missing.stage_model(Stage::Flow).unwrap_err().to_string().contains("/nowhere.yaml"));
 }
 
 #[test]

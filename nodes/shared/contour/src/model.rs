@@ -10,7 +10,7 @@ use bytemuck::{Pod, Zeroable};
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::Mesh;
-use pseudoflow_imaging::raster::{Background, Item, Scene, Scratch, render_depth};
+use pseudoflow_imaging::raster::{Background, Item, Scene, Scratch};
 use rayon::prelude::*;
 
 /// How a model is made.
@@ -148,7 +148,6 @@ struct ViewCamera {
 #[derive(Default)]
 struct Buffers {
     scratch: Scratch,
-    mask: Vec<u8>,
     depth_m: Vec<f32>,
 }
 
@@ -178,8 +177,10 @@ impl ViewCamera {
             height: self.size_px,
             background: Background::Colour([0; 3]),
         };
-        render_depth(&scene, &mut buffers.scratch, &mut buffers.mask, &mut buffers.depth_m);
-        let mask = Mask { inside: &buffers.mask, size_px: self.size_px as i32 };
+        buffers.scratch.cover(&scene);
+        buffers.depth_m.clear();
+        buffers.depth_m.extend(buffers.scratch.inverse_depths().iter().map(|i| if *i > 0.0 { 1.0 / i } else { 0.0 }));
+        let mask = Mask { inside: buffers.scratch.owners(), size_px: self.size_px as i32 };
         let shortest = SHORTEST * self.size_px as f32;
         let curves: Vec<Curve> =
             mask.outlines().iter().filter(|o| o.len() as f32 > shortest).map(|o| smooth(o)).collect();

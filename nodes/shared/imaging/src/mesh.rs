@@ -13,6 +13,9 @@ pub struct Mesh {
     pub texcoords: Vec<[f32; 2]>,
     /// sRGB colours, one per vertex, or empty. With neither texture nor colours the mesh is light grey.
     pub colours: Vec<[u8; 3]>,
+    /// Share of the surroundings that each vertex sees past the mesh itself, of 255 ([`crate::raster::openness`]); empty
+    /// where nobody asked for it.
+    pub openness: Vec<u8>,
     /// Vertex indices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
     /// The texture with its mip levels.
@@ -56,7 +59,8 @@ impl Mesh {
             false => normals::normalised(&normals, &vertices_m, &triangles, &topology.welded),
         };
         let texture = texture.filter(|_| !texcoords.is_empty()).map(|t| Texture::new(&t, &texcoords, &triangles));
-        Ok(Self { vertices_m, normals, texcoords, colours, triangles, texture, closed: topology.closed })
+        let (openness, closed) = (Vec::new(), topology.closed);
+        Ok(Self { vertices_m, normals, texcoords, colours, openness, triangles, texture, closed })
     }
 
     /// The positions as points, metres.

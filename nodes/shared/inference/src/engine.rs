@@ -48,6 +48,8 @@ pub enum Backend {
     OnnxRuntime,
     /// The engine inside the binary.
     Rten,
+    /// The training's own network, inside the binary, on the `device` of the node. It runs weights, not ONNX files.
+    Burn,
 }
 
 /// Where ONNX Runtime computes.
@@ -69,8 +71,10 @@ pub enum ExecutionProvider {
 pub struct EngineConfig {
     /// Which engine.
     pub backend: Backend,
-    /// Where ONNX Runtime computes.
-    pub provider: ExecutionProvider,
+    /// Where ONNX Runtime computes; by default as the node's `device` says, and on the processor where it has none.
+    pub provider: Option<ExecutionProvider>,
+    /// Number of the NVIDIA GPU that ONNX Runtime computes on.
+    pub gpu: u16,
     /// File of ONNX Runtime's library; else `ORT_DYLIB_PATH`, else `libonnxruntime.so` as the loader finds it.
     pub onnxruntime: Option<PathBuf>,
     /// Threads; 0: as many as there are cores.
@@ -78,6 +82,19 @@ pub struct EngineConfig {
 }
 
 impl EngineConfig {
+    /// Where ONNX Runtime computes.
+    #[must_use]
+    pub fn provider(&self) -> ExecutionProvider {
+        self.provider.unwrap_or_default()
+    }
+
+    /// This configuration with ONNX Runtime on an NVIDIA GPU, through CUDA if no provider is named.
+    #[must_use]
+    pub fn on_gpu(&self, gpu: u16) -> Self {
+        let provider = Some(self.provider.unwrap_or(ExecutionProvider::Cuda));
+        Self { backend: Backend::OnnxRuntime, provider, gpu, ..self.clone() }
+    }
+
     /// The library to load, and whether somebody named it.
     fn library(&self) -> (PathBuf, bool) {
         let named = self.onnxruntime.clone().or_else(|| std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from));
@@ -101,6 +118,7 @@ pub fn open(onnx: &[u8], config: &EngineConfig) -> Result<Box<dyn Engine>, Infer
     match config.backend {
         Backend::OnnxRuntime => Ok(Box::new(OnnxRuntime::open(onnx, &library, config)?)),
         Backend::Rten => open_rten(onnx, config),
+        Backend::Burn => Err(InferenceError::NeedsWeights),
         Backend::Auto => match OnnxRuntime::open(onnx, &library, config) {
             Err(InferenceError::Library { cause, .. }) if !named => {
                 log::info!("no ONNX Runtime on this machine ({cause}): the embedded rten computes");
@@ -112,8 +130,8 @@ pub fn open(onnx: &[u8], config: &EngineConfig) -> Result<Box<dyn Engine>, Infer
 }
 
 fn open_rten(onnx: &[u8], config: &EngineConfig) -> Result<Box<dyn Engine>, InferenceError> {
-    if config.provider != ExecutionProvider::Cpu {
-        return Err(InferenceError::ProviderNeedsOnnxRuntime(config.provider));
+    if config.provider() != ExecutionProvider::Cpu {
+        return Err(InferenceError::ProviderNeedsOnnxRuntime(config.provider()));
     }
     Ok(Box::new(Rten::open(onnx, config.threads)?))
 }

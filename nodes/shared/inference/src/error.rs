@@ -34,6 +34,22 @@ pub enum InferenceError {
         /// What it said.
         cause: String,
     },
+    /// The library has no part for the GPU.
+    #[error(
+        "the ONNX Runtime of `{library}` was built without {provider:?}; install the one for GPUs (`pip install \
+         onnxruntime-gpu`) and set ORT_DYLIB_PATH to its libonnxruntime.so, or use `device: vulkan` or `cpu`"
+    )]
+    ProviderNotBuilt {
+        /// What was asked for.
+        provider: crate::ExecutionProvider,
+        /// The library.
+        library: PathBuf,
+    },
+    /// An engine that runs weights was asked to run an ONNX file.
+    #[error(
+        "`backend: burn` runs .safetensors weights of a flow network, and this is an ONNX file; choose `onnxruntime` or `rten`"
+    )]
+    NeedsWeights,
     /// A GPU provider was asked for where only the embedded engine is.
     #[error("provider `{0:?}` needs ONNX Runtime: set `backend: onnxruntime`, or `provider: cpu`")]
     ProviderNeedsOnnxRuntime(crate::ExecutionProvider),

@@ -1,6 +1,6 @@
 use crate::{Engine, EngineConfig, ExecutionProvider, InferenceError, Input, Output};
 use ort::environment::Environment;
-use ort::ep::ExecutionProviderDispatch;
+use ort::ep::{ExecutionProvider as _, ExecutionProviderDispatch};
 use ort::session::builder::GraphOptimizationLevel;
 use ort::session::{Session, SessionInputValue};
 use ort::value::TensorRef;
@@ -14,6 +14,7 @@ const ENGINE: &str = "ONNX Runtime";
 pub(crate) struct OnnxRuntime {
     session: Session,
     provider: ExecutionProvider,
+    gpu: u16,
 }
 
 /// The library and its environment: a process has one, whatever the number of networks.
@@ -30,9 +31,12 @@ impl OnnxRuntime {
         if path != library {
             return Err(failed(format!("this process has loaded {} already", path.display())));
         }
+        if !is_built_in(config.provider()).map_err(&failed)? {
+            return Err(InferenceError::ProviderNotBuilt { provider: config.provider(), library: library.to_owned() });
+        }
         let session = session(environment, onnx, config)
             .map_err(|cause| InferenceError::Load { engine: ENGINE, cause: cause.to_string() })?;
-        Ok(Self { session, provider: config.provider })
+        Ok(Self { session, provider: config.provider(), gpu: config.gpu })
     }
 }
 
@@ -45,23 +49,38 @@ fn session(environment: &Environment, onnx: &[u8], config: &EngineConfig) -> ort
     Session::builder(environment)?
         .with_optimization_level(GraphOptimizationLevel::All)?
         .with_intra_threads(config.threads)?
-        .with_execution_providers(providers(config.provider))?
+        .with_execution_providers(providers(config))?
         .commit_from_memory(onnx)
 }
 
+/// Whether the library was built with a provider; whether the machine has what it needs shows when a session opens.
+fn is_built_in(provider: ExecutionProvider) -> Result<bool, String> {
+    let found = match provider {
+        ExecutionProvider::Cpu => Ok(true),
+        ExecutionProvider::Cuda => ort::ep::CUDA::is_available(),
+        ExecutionProvider::TensorRt => ort::ep::TensorRT::is_available(),
+    };
+    found.map_err(|error| error.to_string())
+}
+
 /// GPU providers are required: without one the session fails instead of computing elsewhere.
-fn providers(provider: ExecutionProvider) -> Vec<ExecutionProviderDispatch> {
-    let cuda = || ort::ep::CUDA::default().build().error_on_failure();
-    match provider {
+fn providers(config: &EngineConfig) -> Vec<ExecutionProviderDispatch> {
+    let gpu = i32::from(config.gpu);
+    let cuda = || ort::ep::CUDA::default().with_device_id(gpu).build().error_on_failure();
+    let tensorrt = || ort::ep::TensorRT::default().with_device_id(gpu).build().error_on_failure();
+    match config.provider() {
         ExecutionProvider::Cpu => vec![],
         ExecutionProvider::Cuda => vec![cuda()],
-        ExecutionProvider::TensorRt => vec![ort::ep::TensorRT::default().build().error_on_failure(), cuda()],
+        ExecutionProvider::TensorRt => vec![tensorrt(), cuda()],
     }
 }
 
 impl Engine for OnnxRuntime {
     fn describe(&self) -> String {
-        format!("{ENGINE} ({:?})", self.provider)
+        match self.provider {
+            ExecutionProvider::Cpu => format!("{ENGINE} (Cpu)"),
+            provider => format!("{ENGINE} ({provider:?}, GPU {})", self.gpu),
+        }
     }
 
     fn run(&mut self, inputs: &[Input<'_>], outputs: &mut [Output<'_>]) -> Result<(), InferenceError> {

@@ -94,6 +94,13 @@ pub fn within_5cm_5deg(est: &MatrixPose, gt: &MatrixPose, symmetries: &[Pose]) -
         .any(|gt| translation_error_m(est, &gt) < 0.05 && rotation_error_rad(est, &gt) < 5_f64.to_radians())
 }
 
+/// The truth, turned by the symmetry that brings its rotation nearest to the estimate.
+#[must_use]
+pub fn nearest_symmetric(est: &MatrixPose, gt: &MatrixPose, symmetries: &[Pose]) -> MatrixPose {
+    let turned = symmetries.iter().map(|s| gt.after(s));
+    turned.min_by(|a, b| rotation_error_rad(est, a).total_cmp(&rotation_error_rad(est, b))).unwrap_or(*gt)
+}
+
 /// Blocks whose sums are kept in single precision before they are added in double.
 const CHUNK: usize = 32;
 

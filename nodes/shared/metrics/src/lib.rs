@@ -5,6 +5,7 @@
 //! - **Errors of a pose** over [`ModelPoints`]: [`add_m`], [`adi_m`], [`mssd_m`], [`mspd_px`], [`projection_px`],
 //!   [`rotation_error_rad`], [`translation_error_m`], [`within_5cm_5deg`]; over depth images: [`vsd`].
 //! - **From errors to scores**: [`match_greedy`], thresholds, [`recall`], [`auc_to_10cm`].
+//! - **What an estimate claims about itself**: [`pose_error`], [`mahalanobis2`], [`spearman`].
 //! - **Files**: `scene_gt.json`, `scene_gt_info.json`, target lists, BOP19 result files.
 //!
 //! Metres and radians inside; BOP files hold millimetres. The referee is bop_toolkit: `tests/` compares with its
@@ -19,10 +20,12 @@ mod recall;
 mod results;
 mod simd;
 mod truth;
+mod uncertainty;
 mod vsd;
 
 pub use distance::{
-    add_m, adi_m, mspd_px, mspd_scale, mssd_m, projection_px, rotation_error_rad, translation_error_m, within_5cm_5deg,
+    add_m, adi_m, mspd_px, mspd_scale, mssd_m, nearest_symmetric, projection_px, rotation_error_rad,
+    translation_error_m, within_5cm_5deg,
 };
 pub use matching::match_greedy;
 pub use matrix_pose::MatrixPose;
@@ -35,4 +38,5 @@ pub use results::{
     Estimate, KnownIds, Problem, ResultsError, ResultsWriter, file_name, parse_results, read_results, write_results,
 };
 pub use truth::{SceneTruth, Target, TruthError, TruthInstance, read_targets};
+pub use uncertainty::{CHI2_95_OF_3, CHI2_95_OF_6, Mahalanobis2, mahalanobis2, pose_error, spearman};
 pub use vsd::{VSD_DELTA_M, VsdDepths, vsd};

@@ -64,6 +64,25 @@ pub enum NetworkError {
         /// Loss or gradient of which tensor.
         what: String,
     },
+    /// A device was asked for that is not there.
+    #[error("device `{device}` {problem}")]
+    Device {
+        /// As it was asked for.
+        device: String,
+        /// What is missing and what to do.
+        problem: String,
+    },
+    /// A GPU failed or vanished while it computed.
+    #[error(
+        "device {device} failed: {cause}; what was computed before is whole: go on from the checkpoint, on this device \
+         or on another one (`--device cpu`)"
+    )]
+    DeviceFailed {
+        /// The device.
+        device: String,
+        /// What it said.
+        cause: String,
+    },
     /// A checkpoint does not continue this run.
     #[error("{path}: {problem}")]
     Checkpoint {

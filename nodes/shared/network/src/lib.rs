@@ -2,7 +2,10 @@
 
 mod config;
 mod detector;
+mod device;
 mod error;
+mod flow_network;
+mod guard;
 mod kernels;
 mod loss;
 mod model;
@@ -10,6 +13,7 @@ mod onnx;
 pub mod ops;
 mod optim;
 mod raft;
+mod refiner;
 mod train;
 mod weights;
 
@@ -19,11 +23,16 @@ pub use detector::{
     CORNERS, Cell, DetectionLoss, Detector, DetectorConfig, DetectorOutput, Grid, InstanceTruth, LossWeights, STRIDES,
     SURFACE_UNIT, SceneTruth, Trunk, detection_loss,
 };
+pub use device::{ComputeDevice, OpenDevice};
 pub use error::{NetworkError, Result};
+pub use flow_network::{BuiltFlow, FlowNetwork};
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
 pub use model::{Init, Model, Parameter, TensorSpec};
-pub use onnx::{ExportOptions, export_detector, export_features, export_onnx};
-pub use optim::{AdamWConfig, OneCycle};
+pub use onnx::{ExportOptions, export_detector, export_features, export_onnx, export_refiner, is_refiner_onnx};
+pub use optim::{AdamWConfig, OneCycle, Plateau, Schedule};
 pub use raft::Raft;
+pub use refiner::{
+    DeviceRefinerBatch, REFERENCE_CHANNELS, Refinement, Refiner, RefinerBatch, RefinerConfig, reference_geometry,
+};
 pub use train::{ExtraLoss, StepStats, TrainConfig, TrainState};
 pub use weights::{NamedTensor, Weights, WeightsInfo};

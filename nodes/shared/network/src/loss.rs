@@ -117,6 +117,13 @@ pub fn end_point_error(flow: &[f32], truth: &[f32], mask: &[f32], n: usize) -> f
     (sum / weight.max(f64::MIN_POSITIVE)) as f32
 }
 
+/// [`end_point_error`] on the device, of shape (1), without a gradient.
+pub(crate) fn device_end_point_error(flow: &Tensor<4>, batch: &DeviceBatch) -> Tensor<1> {
+    let difference = flow.clone().detach() - batch.flow.clone();
+    let length = (difference.clone() * difference).sum_dim(1).sqrt();
+    (length * batch.mask.clone()).sum() / batch.mask_sum
+}
+
 /// Values of a tensor.
 pub(crate) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().try_into_vec::<f32>().expect("the network works in f32")
@@ -148,8 +155,10 @@ mod tests {
         let zero = Tensor::zeros([1, 2, 4, 4], &device);
         let loss = values(sequence_loss(&[zero.clone(), zero.clone()], &batch, 0.8))[0];
         assert!((loss - (0.8 + 1.0) * (7.0 + 1.0) / 2.0).abs() < 1e-5, "{loss}");
+        let epe = values(device_end_point_error(&zero, &batch))[0];
         let (truth, mask) = (values(batch.flow), values(batch.mask));
         assert!((end_point_error(&values(zero), &truth, &mask, 1) - 3.0).abs() < 1e-6);
+        assert!((epe - 3.0).abs() < 1e-6, "{epe}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::error::{NetworkError, Result};
 use crate::weights::{NamedTensor, Weights};
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor, TensorData, Transaction};
 use std::cell::RefCell;
 use std::collections::HashMap;
 
@@ -68,25 +68,62 @@ pub enum Parameter {
 }
 
 impl Parameter {
-    /// Name and gradient, row-major; zeros where the loss does not touch the tensor.
-    pub(crate) fn gradient(&self, grads: &Gradients) -> (String, Vec<f32>) {
-        let values = |data: TensorData| data.try_into_vec::<f32>().expect("the network works in f32");
+    fn name(&self) -> &str {
         match self {
-            Self::Conv(name, t) => {
-                let grad = t.grad(grads).map(|g| values(g.into_data()));
-                (name.clone(), grad.unwrap_or_else(|| vec![0.0; t.dims().iter().product()]))
-            }
-            Self::Vector(name, t) => {
-                let grad = t.grad(grads).map(|g| values(g.into_data()));
-                (name.clone(), grad.unwrap_or_else(|| vec![0.0; t.dims()[0]]))
-            }
+            Self::Conv(name, _) | Self::Vector(name, _) => name,
+        }
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Self::Conv(_, t) => t.dims().iter().product(),
+            Self::Vector(_, t) => t.dims()[0],
+        }
+    }
+
+    /// Row after row in one dimension; `None` where the loss does not touch the tensor.
+    fn gradient(&self, grads: &Gradients) -> Option<Tensor<1>> {
+        match self {
+            Self::Conv(_, t) => t.grad(grads).map(|grad| grad.reshape([self.len()])),
+            Self::Vector(_, t) => t.grad(grads),
         }
     }
 }
 
-/// Gradients of all trained tensors by name, row-major.
-pub(crate) fn gradients<M: Model>(network: &M::Network, grads: &Gradients) -> HashMap<String, Vec<f32>> {
-    M::parameters(network).iter().map(|parameter| parameter.gradient(grads)).collect()
+/// Row-major values of tensors by their names.
+pub(crate) type ByName = HashMap<String, Vec<f32>>;
+
+/// Gradients of all trained tensors by name, row-major, zeros where the loss does not touch one; and `others`, which
+/// are read with them: a GPU is waited for once.
+///
+/// # Errors
+/// The device failed.
+pub(crate) fn gradients_with<M: Model>(
+    network: &M::Network,
+    grads: &Gradients,
+    others: Vec<Tensor<1>>,
+) -> Result<(ByName, Vec<Vec<f32>>)> {
+    let found: Vec<_> = M::parameters(network).iter().map(|p| (p, p.gradient(grads))).collect();
+    let count = others.len();
+    let mut others = read_together(others.into_iter().map(Tensor::inner).chain(found.iter().filter_map(|(_, grad)| grad.clone())))?;
+    let mut read = others.split_off(count).into_iter();
+    let by_name = found.iter().map(|(parameter, grad)| {
+        let values = grad.as_ref().and_then(|_| read.next());
+        (parameter.name().to_owned(), values.unwrap_or_else(|| vec![0.0; parameter.len()]))
+    });
+    Ok((by_name.collect(), others))
+}
+
+/// The values of several tensors in one transfer.
+///
+/// # Errors
+/// The device failed.
+pub(crate) fn read_together<const D: usize>(tensors: impl IntoIterator<Item = Tensor<D>>) -> Result<Vec<Vec<f32>>> {
+    let tensors: Vec<Tensor<D>> = tensors.into_iter().collect();
+    let device = tensors.first().map(|t| format!("{:?}", t.device())).unwrap_or_default();
+    let read = tensors.into_iter().fold(Transaction::default(), Transaction::register);
+    let data = read.try_execute().map_err(|e| NetworkError::DeviceFailed { device, cause: e.to_string() })?;
+    Ok(data.into_iter().map(|data| data.try_into_vec::<f32>().expect("the network works in f32")).collect())
 }
 
 /// Gives the parts of a network their tensors by name.

@@ -40,6 +40,50 @@ impl OneCycle {
     }
 }
 
+/// Learning rate of a training that may go on at any time: linear from 0 to `max_lr` over the first steps, then constant, then
+/// linear to 0 over the last `cool_down` steps, if any. A training that is to go on starts again from before its cool-down.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plateau {
+    /// The constant learning rate.
+    pub max_lr: f64,
+    /// Steps of the whole run, those of the cool-down included.
+    pub total_steps: u64,
+    /// Steps over which the rate rises.
+    pub warm_up: u64,
+    /// Steps at the end over which the rate falls.
+    pub cool_down: u64,
+}
+
+impl Plateau {
+    /// Rate of a step, counted from 0.
+    pub fn lr(&self, step: u64) -> f64 {
+        let rise = (step + 1) as f64 / self.warm_up.max(1) as f64;
+        let left = self.total_steps.saturating_sub(step) as f64 / (self.cool_down + 1) as f64;
+        self.max_lr * rise.min(left).min(1.0)
+    }
+}
+
+/// How the learning rate changes over a run.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Schedule {
+    /// Rises and falls over a number of steps that is known beforehand.
+    OneCycle(OneCycle),
+    /// Stays constant until a cool-down at the end.
+    Plateau(Plateau),
+}
+
+impl Schedule {
+    /// Rate of a step, counted from 0.
+    pub fn lr(&self, step: u64) -> f64 {
+        match self {
+            Self::OneCycle(schedule) => schedule.lr(step),
+            Self::Plateau(schedule) => schedule.lr(step),
+        }
+    }
+}
+
 /// AdamW's constants.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -127,6 +171,19 @@ mod tests {
         close(schedule.lr(5000), 4e-4 / 250_000.0);
         assert!(schedule.lr(48) < 4e-4 && schedule.lr(50) < 4e-4);
         assert!(OneCycle::new(1e-3, 1).lr(0).is_finite());
+    }
+
+    #[test]
+    fn plateau_rises_stays_and_cools_down() {
+        let plateau = Plateau { max_lr: 2.0, total_steps: 100, warm_up: 10, cool_down: 19 };
+        assert_eq!([plateau.lr(0), plateau.lr(4), plateau.lr(9), plateau.lr(50)], [0.2, 1.0, 2.0, 2.0]);
+        assert_eq!([plateau.lr(80), plateau.lr(90), plateau.lr(99), plateau.lr(100)], [2.0, 1.0, 0.1, 0.0]);
+        let forever = Plateau { cool_down: 0, ..plateau };
+        assert_eq!(forever.lr(99), 2.0);
+        let text = serde_json::to_string(&Schedule::Plateau(plateau)).unwrap();
+        assert_eq!(serde_json::from_str::<Schedule>(&text).unwrap(), Schedule::Plateau(plateau));
+        let text = serde_json::to_string(&OneCycle::new(1.0, 5)).unwrap();
+        assert_eq!(serde_json::from_str::<Schedule>(&text).unwrap(), Schedule::OneCycle(OneCycle::new(1.0, 5)));
     }
 
     /// Numbers from torch.optim.AdamW(lr=0.1, weight_decay=0.01) on p = [1, -2], gradients [0.5, -1] then [-0.25, 3].

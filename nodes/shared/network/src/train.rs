@@ -2,9 +2,10 @@
 
 use crate::config::NetworkConfig;
 use crate::error::{NetworkError, Result, io_error};
-use crate::loss::{FlowBatch, end_point_error, sequence_loss, values};
-use crate::model::{Model, gradients};
-use crate::optim::{AdamWConfig, Moments, OneCycle, adamw, clip_scale, global_norm};
+use crate::guard::guarded_on;
+use crate::loss::{FlowBatch, device_end_point_error, end_point_error, sequence_loss, values};
+use crate::model::{ByName, Model, gradients_with};
+use crate::optim::{AdamWConfig, Moments, OneCycle, Schedule, adamw, clip_scale, global_norm};
 use crate::weights::{NamedTensor, Weights, parse_with, serialize_with, write_atomically};
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
@@ -16,7 +17,7 @@ use std::path::Path;
 #[serde(deny_unknown_fields)]
 pub struct TrainConfig {
     /// Learning rate over the run.
-    pub schedule: OneCycle,
+    pub schedule: Schedule,
     /// Optimiser constants.
     pub adamw: AdamWConfig,
     /// Largest global gradient norm.
@@ -28,7 +29,12 @@ pub struct TrainConfig {
 impl TrainConfig {
     /// The paper's constants for a run of `total_steps` with peak rate `max_lr`.
     pub fn new(max_lr: f64, total_steps: u64) -> Self {
-        Self { schedule: OneCycle::new(max_lr, total_steps), adamw: AdamWConfig::default(), clip_norm: 1.0, gamma: 0.8 }
+        Self::scheduled(Schedule::OneCycle(OneCycle::new(max_lr, total_steps)))
+    }
+
+    /// The paper's constants with another schedule.
+    pub fn scheduled(schedule: Schedule) -> Self {
+        Self { schedule, adamw: AdamWConfig::default(), clip_norm: 1.0, gamma: 0.8 }
     }
 }
 
@@ -69,6 +75,14 @@ pub struct TrainState<M = NetworkConfig> {
     device: Device,
 }
 
+/// What a step learns from the device.
+struct Slope {
+    loss: f32,
+    /// Gradients, row-major.
+    by_name: ByName,
+    measured: Vec<f32>,
+}
+
 impl<M: Model> TrainState<M> {
     /// Starts a run from weights, at step 0. `device` is a plain device such as `Device::flex()`.
     ///
@@ -97,20 +111,39 @@ impl<M: Model> TrainState<M> {
     /// One step on any loss of shape (1), given the network on the device with autodiff.
     ///
     /// # Errors
-    /// Loss or gradient are not finite: the weights then stay as they were.
+    /// Loss or gradient are not finite, or a GPU failed: the weights then stay as they were.
     pub fn step_with(&mut self, loss: impl FnOnce(&M::Network) -> Tensor<1>) -> Result<StepStats> {
-        let network = self.network.build(&self.weights, &self.device.clone().autodiff())?;
-        let loss = loss(&network);
-        let value = values(loss.clone())[0];
-        self.check_finite(value.is_finite(), "the loss")?;
-        let mut by_name = gradients::<M>(&network, &loss.backward());
+        Ok(self.step_measuring(|network| (loss(network), vec![]))?.0)
+    }
+
+    /// As [`Self::step_with`], with further numbers of shape (1), which are read with the gradients: a GPU is waited for
+    /// once a step.
+    ///
+    /// # Errors
+    /// As [`Self::step_with`].
+    pub(crate) fn step_measuring(
+        &mut self,
+        loss: impl FnOnce(&M::Network) -> (Tensor<1>, Vec<Tensor<1>>),
+    ) -> Result<(StepStats, Vec<f32>)> {
+        let Slope { loss, mut by_name, measured } = guarded_on(&self.device, || self.slope(loss))?;
+        self.check_finite(loss.is_finite(), "the loss")?;
         let grads: Vec<Vec<f32>> =
             self.weights.tensors().iter().map(|t| by_name.remove(&t.name).unwrap_or_default()).collect();
         let grad_norm = global_norm(&grads);
         self.check_finite(grad_norm.is_finite(), "the gradient")?;
         let lr = self.config.schedule.lr(self.step());
         self.apply(&grads, clip_scale(grad_norm, self.config.clip_norm), lr);
-        Ok(StepStats { step: self.step(), loss: value, epe: f32::NAN, grad_norm, lr })
+        Ok((StepStats { step: self.step(), loss, epe: f32::NAN, grad_norm, lr }, measured))
+    }
+
+    fn slope(&self, loss: impl FnOnce(&M::Network) -> (Tensor<1>, Vec<Tensor<1>>)) -> Result<Slope> {
+        let network = self.network.build(&self.weights, &self.device.clone().autodiff())?;
+        let (loss, mut others) = loss(&network);
+        others.push(loss.clone());
+        let (by_name, others) = gradients_with::<M>(&network, &loss.backward(), others)?;
+        let mut measured: Vec<f32> = others.into_iter().map(|values| values[0]).collect();
+        let loss = measured.pop().unwrap_or(f32::NAN);
+        Ok(Slope { loss, by_name, measured })
     }
 
     /// Counts a step without data: the schedule goes on, weights and moments stay. Returns the step's learning rate.
@@ -223,15 +256,12 @@ impl TrainState {
         let device = self.device.clone().autodiff();
         let data = batch.to_device(self.network.size_px, &device)?;
         let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
-        let mut epe = f32::NAN;
-        let mut stats = self.step_with(|raft| {
+        let (stats, measured) = self.step_measuring(|raft| {
             let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
-            let last = values(flows[iterations - 1].clone());
-            epe = end_point_error(&last, &values(data.flow.clone()), &values(data.mask.clone()), batch.n);
-            sequence_loss(&flows, &data, gamma)
+            let epe = device_end_point_error(&flows[iterations - 1], &data);
+            (sequence_loss(&flows, &data, gamma), vec![epe])
         })?;
-        stats.epe = epe;
-        Ok(stats)
+        Ok(StepStats { epe: measured[0], ..stats })
     }
 
     /// One step on `flow_weight` times [`sequence_loss`] plus a loss that the caller computes from the last flows
@@ -251,22 +281,34 @@ impl TrainState {
         let device = self.device.clone().autodiff();
         let data = batch.to_device(self.network.size_px, &device)?;
         let (iterations, gamma, size_px) = (self.network.iterations_train, self.config.gamma, self.network.size_px);
-        let (mut epe, mut total) = (f32::NAN, f32::NAN);
-        let mut stats = self.step_with(|raft| {
+        let mut extra_value = f32::NAN;
+        let (stats, measured) = self.step_measuring(|raft| {
             let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
             let last = flows[iterations - 1].clone();
             let flow_px = values(last.clone());
-            epe = end_point_error(&flow_px, &values(data.flow.clone()), &values(data.mask.clone()), batch.n);
+            let epe = device_end_point_error(&last, &data);
             let flow_loss = sequence_loss(&flows, &data, gamma) * flow_weight;
             let ExtraLoss { value, gradient } = extra(&flow_px);
             assert_eq!(gradient.len(), flow_px.len(), "one gradient for each flow value");
-            total = values(flow_loss.clone())[0] + value;
+            extra_value = value;
             // Linear in the flow: its gradient is the extra loss's.
             let slope = Tensor::from_data(TensorData::new(gradient, [batch.n, 2, size_px, size_px]), &device);
-            flow_loss + (last * slope).sum()
+            (flow_loss.clone() + (last * slope).sum(), vec![epe, flow_loss])
         })?;
-        (stats.epe, stats.loss) = (epe, total);
-        Ok(stats)
+        Ok(StepStats { epe: measured[0], loss: measured[1] + extra_value, ..stats })
+    }
+}
+
+impl NetworkConfig {
+    /// Mean end point error of these weights on a batch of pairs of side [`NetworkConfig::size_px`], over the mask, px.
+    ///
+    /// # Errors
+    /// The batch has wrong lengths or values, or the weights belong to another architecture.
+    pub fn end_point_error(&self, weights: &Weights, batch: &FlowBatch<'_>) -> Result<f32> {
+        let device = Device::flex();
+        let data = batch.to_device(self.size_px, &device)?;
+        let flow = self.build(weights, &device)?.infer(data.reference, data.real, self.iterations_infer);
+        Ok(end_point_error(&values(flow), &values(data.flow), &values(data.mask), batch.n))
     }
 }
 
@@ -276,4 +318,4 @@ const SQUARE: &str = "adamw.square.";
 const TRAINING: &str = "pseudoflow_training";
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -67,8 +67,16 @@ impl Weights {
     /// the first one in the network's order.
     pub fn load(path: &Path, config: &impl Model) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(io_error(path))?;
-        let (info, tensors) = parse(&bytes, path)?;
-        Self::from_parts(info, tensors, config, &path.display().to_string())
+        Self::from_bytes(&bytes, config, &path.display().to_string())
+    }
+
+    /// As [`Self::load`] from the bytes of such a file; `origin` is named in errors.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn from_bytes(bytes: &[u8], config: &impl Model, origin: &str) -> Result<Self> {
+        let (info, tensors) = parse(bytes, Path::new(origin))?;
+        Self::from_parts(info, tensors, config, origin)
     }
 
     /// Reads where the weights of a file come from; a checkpoint's as well.

@@ -66,6 +66,7 @@ fn read(path: &str) -> Result<Problem, Box<dyn Error>> {
 
 fn answer(problem: &Problem, solver: &mut Solver, buffer: &mut PixelBuffer) -> Result<String, Box<dyn Error>> {
     let field = FlowField {
+        certainty: None,
         size_px: problem.size_px,
         depth_m: &problem.depth_m,
         mask: &problem.mask,

@@ -48,30 +48,43 @@ pub struct FlowField<'a> {
     pub mask: &'a [u8],
     /// Flow from the reference to the real crop: dx, dy by pixel, crop pixels; S * S * 2 values.
     pub flow_px: &'a [f32],
+    /// How sure the network is that a pixel's surface point is seen, and that its flow is right; S * S values each, 255 =
+    /// certain. `None` where the network does not say.
+    pub certainty: Option<[&'a [u8]; 2]>,
     /// Intrinsics K' of the crop.
     pub intrinsics: Intrinsics,
     /// The pose at which the reference was rendered.
     pub camera_from_object: Pose,
 }
 
+/// Flow that is seen and right with a smaller probability is no correspondence: it is hidden, or as good as guessed.
+const LEAST_CERTAINTY: f32 = 0.25;
+
 impl FlowField<'_> {
     /// # Errors
     /// [`PnpError::Plane`] names the plane that has the wrong size.
     fn check(&self) -> Result<(), PnpError> {
         let n = self.size_px * self.size_px;
-        let planes =
-            [("depth_m", self.depth_m.len(), n), ("mask", self.mask.len(), n), ("flow_px", self.flow_px.len(), 2 * n)];
+        let planes = [
+            ("depth_m", self.depth_m.len(), n),
+            ("mask", self.mask.len(), n),
+            ("flow_px", self.flow_px.len(), 2 * n),
+            ("certainty", self.certainty.map_or(2 * n, |[seen, right]| seen.len() + right.len()), 2 * n),
+        ];
         match planes.into_iter().find(|(_, got, need)| got != need) {
             Some((plane, got, need)) => Err(PnpError::Plane { plane, size_px: self.size_px, got, need }),
             None => Ok(()),
         }
     }
 
-    /// Whether pixel `i` is a foreground pixel with depth and a finite flow.
+    /// Whether pixel `i` is a foreground pixel with depth and a finite flow of which the network is sure enough.
     fn is_usable(&self, i: usize) -> bool {
         let depth = self.depth_m[i];
         let [dx, dy] = [self.flow_px[2 * i], self.flow_px[2 * i + 1]];
-        self.mask[i] != 0 && depth > 0.0 && depth.is_finite() && dx.is_finite() && dy.is_finite()
+        let sure = self.certainty.is_none_or(|[seen, right]| {
+            f32::from(seen[i]) * f32::from(right[i]) >= LEAST_CERTAINTY * 255.0 * 255.0
+        });
+        sure && self.mask[i] != 0 && depth > 0.0 && depth.is_finite() && dx.is_finite() && dy.is_finite()
     }
 }
 
@@ -89,8 +102,8 @@ impl PixelBuffer {
         Self::default()
     }
 
-    /// The correspondences of a flow field: each foreground pixel of the reference with depth and a finite flow gives
-    /// its surface point and `pixel + flow` (method.md, step 5). When there are more than `max_points`, that many are
+    /// The correspondences of a flow field: each foreground pixel of the reference with depth and a finite flow that is sure
+    /// enough gives its surface point and `pixel + flow` (method.md, step 5). When there are more than `max_points`, that many are
     /// taken evenly in row order.
     ///
     /// # Errors
@@ -161,7 +174,7 @@ mod tests {
 
     fn field<'a>(depth_m: &'a [f32], mask: &'a [u8], flow_px: &'a [f32]) -> FlowField<'a> {
         let pose = Pose::new(Vector3::new(0.01, -0.02, 0.7), Vector3::new(0.3, -1.0, 0.2));
-        FlowField { size_px: 8, depth_m, mask, flow_px, intrinsics: K, camera_from_object: pose }
+        FlowField { size_px: 8, depth_m, mask, flow_px, certainty: None, intrinsics: K, camera_from_object: pose }
     }
 
     #[test]
@@ -179,6 +192,17 @@ mod tests {
         assert_eq!(found.pixels, [[3.5, 0.75]]);
         let expected = field.camera_from_object.inverse() * K.unproject(&Point2::new(2.0, 1.0), f64::from(0.7_f32));
         assert!((Point3::from(found.points_in_object[0]).cast::<f64>() - expected).norm() < 1e-7);
+    }
+
+    #[test]
+    fn flow_that_the_network_is_not_sure_of_is_left_out() {
+        let (depth, mask, flow) = (vec![0.7; 64], vec![1; 64], vec![0.0; 128]);
+        let (mut seen, mut right) = (vec![0; 64], vec![255; 64]);
+        (seen[5], seen[6], seen[7], right[7]) = (255, 100, 255, 20);
+        let field = FlowField { certainty: Some([&seen, &right]), ..field(&depth, &mask, &flow) };
+        assert_eq!(PixelBuffer::new().fill(&field, 1000).unwrap().pixels, [[5.0, 0.0], [6.0, 0.0]]);
+        let short = FlowField { certainty: Some([&seen[1..], &right]), ..field };
+        assert!(matches!(PixelBuffer::new().fill(&short, 9), Err(PnpError::Plane { plane: "certainty", .. })));
     }
 
     #[test]

@@ -1,5 +1,5 @@
 use crate::TrainerError;
-use pseudoflow_network::NetworkConfig;
+use pseudoflow_network::{ComputeDevice, NetworkConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -20,6 +20,9 @@ pub struct TrainerConfig {
     /// better where the teacher looks closer.
     #[serde(default)]
     pub student_px: Option<u32>,
+    /// What trains: auto, cpu, vulkan[:N] or cuda[:N]. The same bits come out on the processor only.
+    #[serde(default)]
+    pub device: ComputeDevice,
     /// Folder of checkpoint, log and result.
     pub out: PathBuf,
     /// Steps of the whole training.
@@ -53,9 +56,6 @@ pub struct TrainerConfig {
     /// Iterations of the student in training; the network's own by default.
     #[serde(default)]
     pub train_iterations: Option<usize>,
-    /// Iterations of the published teacher, the flow node's `iterations`; the network's own by default.
-    #[serde(default)]
-    pub iterations: Option<usize>,
     /// Weight of the flow loss.
     #[serde(default = "one")]
     pub flow_weight: f64,
@@ -125,6 +125,7 @@ impl TrainerConfig {
             network: nano(),
             size_px: default_size_px(),
             student_px: None,
+            device: ComputeDevice::default(),
             out,
             steps,
             first_step: 0,
@@ -136,7 +137,6 @@ impl TrainerConfig {
             max_lr: default_max_lr(),
             ema_alpha: None,
             train_iterations: None,
-            iterations: None,
             flow_weight: one(),
             photo_weight: half(),
             augment: yes(),
@@ -169,7 +169,6 @@ impl TrainerConfig {
             ("max_lr", self.max_lr > 0.0 && self.max_lr < 1.0, "a rate in 0..1"),
             ("ema_alpha", self.ema_alpha.is_none_or(|alpha| (0.0..1.0).contains(&alpha)), "0 <= alpha < 1"),
             ("train_iterations", self.train_iterations.is_none_or(iterations), "1..=64"),
-            ("iterations", self.iterations.is_none_or(iterations), "1..=64"),
             ("flow_weight", self.flow_weight >= 0.0, "at least 0"),
             ("photo_weight", self.photo_weight >= 0.0, "at least 0"),
             ("flow_weight", self.flow_weight + self.photo_weight > 0.0, "more than 0, or `photo_weight`"),
@@ -205,7 +204,6 @@ impl TrainerConfig {
     pub fn resolve_network(&self) -> Result<NetworkConfig, TrainerError> {
         let mut network = crate::pretrain::network_named(&self.network)?;
         network.iterations_train = self.train_iterations.unwrap_or(network.iterations_train);
-        network.iterations_infer = self.iterations.unwrap_or(network.iterations_infer);
         Ok(network)
     }
 }

@@ -4,7 +4,6 @@ use crate::TrainerError;
 use pseudoflow_msgs::{
     FlowFields, FrameKey, InstanceLabels, NetworkWeights, NetworkWeightsHeader, PseudoLabels, ReferenceViews,
 };
-use pseudoflow_network::{ExportOptions, NetworkConfig, Weights, export_onnx};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -15,10 +14,9 @@ use std::time::Instant;
 /// finds what it lacks sent again, and comes to the same weights to the bit.
 pub struct TrainerNode {
     config: TrainerConfig,
-    network: NetworkConfig,
     state: AdaptState,
     log: AdaptLog,
-    /// ONNX files of the last publication and the one before it.
+    /// Weight files of the last publication and the one before it.
     published: [Vec<u8>; 2],
     /// Steps in the checkpoint.
     saved_steps: u64,
@@ -55,11 +53,6 @@ impl TrainerNode {
         self.config.out.join(file)
     }
 
-    fn onnx(&self, weights: &Weights) -> Result<Vec<u8>, TrainerError> {
-        let (size_px, iterations) = (self.config.size_px as usize, self.network.iterations_infer);
-        Ok(export_onnx(weights, &self.network, ExportOptions { size_px, iterations, batch: None })?)
-    }
-
     /// A frame's place in the whole training, of which this run may be a later part.
     fn place_of(&self, frame: u64) -> u64 {
         self.config.first_step * self.config.frames_per_step + frame
@@ -67,16 +60,16 @@ impl TrainerNode {
 
     fn send(&self, key: FrameKey, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
         let version = self.state.step() / self.config.publish_every;
-        let [onnx, previous] = &self.published;
+        let [weights, previous] = &self.published;
         let header = NetworkWeightsHeader {
             version,
             step: version * self.config.publish_every,
             frames_per_version: self.config.publish_every * self.config.frames_per_step,
-            onnx_bytes: onnx.len() as u64,
-            previous_onnx_bytes: previous.len() as u64,
+            weights_bytes: weights.len() as u64,
+            previous_bytes: previous.len() as u64,
         };
         let len = NetworkWeights::byte_len(&header);
-        outputs.send("weights", key, len, &mut |bytes| NetworkWeights::write(bytes, header, onnx, previous))
+        outputs.send("weights", key, len, &mut |bytes| NetworkWeights::write(bytes, header, weights, previous))
     }
 
     fn gather(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<(), NodeError> {
@@ -128,8 +121,8 @@ impl TrainerNode {
         let publishes = result.step.is_multiple_of(self.config.publish_every);
         if publishes {
             self.state.publish();
-            let onnx = self.onnx(self.state.publications()[0])?;
-            self.published = [onnx, std::mem::take(&mut self.published[0])];
+            let weights = self.state.publications()[0].to_bytes();
+            self.published = [weights, std::mem::take(&mut self.published[0])];
         }
         self.keep_teacher(result.step)?;
         let ends = result.step == self.config.steps;
@@ -185,13 +178,12 @@ impl Node for TrainerNode {
         }
         ::log::info!("training goes on from step {steps} of {}", config.steps);
         let log = AdaptLog::open(&config.out.join(files::LOG), steps)?;
-        let network = config.resolve_network()?;
         let (batch, started, published) = (Batch::default(), Instant::now(), [vec![], vec![]]);
-        let mut node = Self { config, network, state, log, published, saved_steps: steps, batch, started };
+        let mut node = Self { config, state, log, published, saved_steps: steps, batch, started };
         let [last, before] = node.state.publications();
-        node.published[0] = node.onnx(last)?;
+        node.published[0] = last.to_bytes();
         if steps >= node.config.publish_every {
-            node.published[1] = node.onnx(before)?;
+            node.published[1] = before.to_bytes();
         }
         Ok(node)
     }

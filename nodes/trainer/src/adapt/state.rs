@@ -1,7 +1,7 @@
 use super::photo::{PhotoSample, photo_loss};
 use super::{Sample, TrainerConfig};
 use crate::TrainerError;
-use pseudoflow_network::{Device, ExtraLoss, FlowBatch, TrainConfig, TrainState, Weights};
+use pseudoflow_network::{ExtraLoss, FlowBatch, TrainConfig, TrainState, Weights};
 use std::path::Path;
 
 /// Names of the other weights in a checkpoint.
@@ -55,7 +55,7 @@ impl AdaptState {
         let network = config.resolve_network()?;
         let weights = Weights::load(&config.weights, &network)?;
         let training = TrainConfig::new(config.max_lr, config.updates());
-        let student = TrainState::new(network, training, weights, &Device::flex())?;
+        let student = TrainState::new(network, training, weights, &config.device.open()?.device)?;
         let teacher = student.weights.clone();
         Ok(Self { published: teacher.clone(), before: teacher.clone(), teacher, student, repeats: config.repeats })
     }
@@ -66,7 +66,8 @@ impl AdaptState {
     /// It is unreadable, damaged, or of another network or schedule.
     pub fn load(path: &Path, config: &TrainerConfig) -> Result<Self, TrainerError> {
         let names = [TEACHER, PUBLISHED, BEFORE];
-        let (student, mut others) = TrainState::load_with(path, config.resolve_network()?, &Device::flex(), &names)?;
+        let (network, device) = (config.resolve_network()?, config.device.open()?.device);
+        let (student, mut others) = TrainState::load_with(path, network, &device, &names)?;
         let wanted = TrainConfig::new(config.max_lr, config.updates());
         if student.config != wanted {
             return Err(TrainerError::OtherRun {

@@ -5,7 +5,7 @@ use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FlowFieldsHeader, FrameKey, InstanceLabels, Message, NetworkWeights, Partner,
     PseudoLabels, PseudoLabelsHeader, ReferenceViews, ReferenceViewsHeader,
 };
-use pseudoflow_network::{NetworkConfig, Weights};
+use pseudoflow_network::{ComputeDevice, NetworkConfig, Weights};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use std::path::Path;
 
@@ -28,6 +28,7 @@ fn config(folder: &Path, steps: u64) -> TrainerConfig {
     TrainerConfig {
         network: network.display().to_string(),
         size_px: SIZE,
+        device: ComputeDevice::Cpu,
         frames_per_step: 2,
         publish_every: 2,
         max_lr: 4e-4,
@@ -68,7 +69,8 @@ fn inputs(frame: u64, usable: bool) -> InMemory {
     message.partner_rgb.copy_from_slice(&picture([2.0, 1.0]));
     message.partners[0] = Partner { scene_id: 0, image_id: 99, present: 1, reserved: 0 };
 
-    let header = FlowFieldsHeader { fields: VIEWS as u32 + 1, size_px: SIZE, weights_version: 0 };
+    let header =
+        FlowFieldsHeader { fields: VIEWS as u32 + 1, size_px: SIZE, weights_version: 0, has_certainty: 0, reserved: 0 };
     let mut flow = AlignedBytes::zeroed(FlowFields::byte_len(&header));
     let fields = FlowFields::write(&mut flow, header).flow_px;
     fields[VIEWS * 2 * AREA..].chunks_exact_mut(2).for_each(|v| v.copy_from_slice(&[2.0, 1.0]));
@@ -114,7 +116,7 @@ fn feed(node: &mut TrainerNode, frames: impl IntoIterator<Item = u64>) -> Vec<(u
         node.process(&inputs(frame, true), &mut out, &context()).unwrap();
         for (_, bytes) in &out.messages {
             let weights = NetworkWeights::view(bytes).unwrap();
-            sent.push((weights.header.version, weights.onnx.len(), weights.previous_onnx.len()));
+            sent.push((weights.header.version, weights.weights.len(), weights.previous.len()));
         }
     }
     sent
@@ -210,10 +212,10 @@ fn weights_go_out_at_the_start_and_every_so_many_steps_with_those_before() {
     let mut out = InMemory::default();
     node.begin(&mut out, &context()).unwrap();
     let first = NetworkWeights::view(&out.messages[0].1).unwrap();
-    assert_eq!((first.header.version, first.previous_onnx.len(), first.header.frames_per_version), (0, 0, 4));
+    assert_eq!((first.header.version, first.previous.len(), first.header.frames_per_version), (0, 0, 4));
     let sent = feed(&mut node, 0..8);
     assert_eq!(sent.iter().map(|s| s.0).collect::<Vec<_>>(), [1, 2]);
-    assert!(sent.iter().all(|(_, onnx, previous)| *onnx > 0 && *previous > 0));
+    assert!(sent.iter().all(|(_, weights, previous)| *weights > 0 && *previous > 0));
 }
 
 #[test]

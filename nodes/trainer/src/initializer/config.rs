@@ -1,7 +1,7 @@
 use crate::TrainerError;
 use crate::pretrain::WarmStart;
 use crate::synth::SceneConfig;
-use pseudoflow_network::{DetectorConfig, Trunk};
+use pseudoflow_network::{ComputeDevice, DetectorConfig, Trunk};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -38,6 +38,9 @@ pub struct InitializerTraining {
     pub checkpoint_every: u64,
     /// Continue from the checkpoint, which must exist.
     pub resume: bool,
+    /// What trains. A run may go on with another device; it then has other bits.
+    #[serde(default)]
+    pub device: ComputeDevice,
     /// Threads that render beside the training step. They do not change the result.
     pub data_threads: usize,
     /// The synthetic scenes; by default those of [`SceneConfig::for_images`] at the network's input.
@@ -62,6 +65,7 @@ impl InitializerTraining {
             block: 256,
             checkpoint_every: 200,
             resume: false,
+            device: ComputeDevice::default(),
             data_threads: 1,
             scenes: None,
         }

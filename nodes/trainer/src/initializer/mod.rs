@@ -14,13 +14,13 @@ pub use preview::scene_sheet;
 
 use crate::TrainerError;
 use crate::pretrain::{
-    Curve, Progress, Row, RunLog, SHIPPED_WEIGHTS, WarmStart, check_same_run, shipped, write_atomically,
+    Curve, Progress, Row, RunLog, SHIPPED_WEIGHTS, WarmStart, check_same_run, keep, shipped, write_atomically,
 };
 use crate::synth::SceneGenerator;
 use data::{Prefetch, Source};
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_network::{
-    DetectorConfig, Device, Grid, LossWeights, NetworkConfig, TrainConfig, TrainState, Trunk, Weights,
+    ComputeDevice, DetectorConfig, Grid, LossWeights, NetworkConfig, TrainConfig, TrainState, Trunk, Weights,
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -114,8 +114,8 @@ type State = TrainState<DetectorConfig>;
 /// them.
 ///
 /// # Errors
-/// A bad configuration, object set or start weights (before anything is written); a checkpoint of another run; a
-/// loss that is not finite (the last checkpoint stays); a full disk.
+/// A bad configuration, object set, device or start weights (before anything is written); a checkpoint of another run; a
+/// loss that is not finite (the last checkpoint stays); a GPU that fails (a checkpoint is written); a full disk.
 pub fn train_initializer(
     config: &InitializerTraining,
     progress: &mut dyn Progress,
@@ -132,7 +132,8 @@ pub fn train_initializer(
     while state.step() < config.steps && !progress.should_stop() {
         let batch = prefetch.next()?;
         let trunk = config.trunk_at(state.step());
-        log.reports.push(step(&mut state, &batch, trunk)?);
+        let report = step(&mut state, &batch, trunk);
+        log.reports.push(report.inspect_err(|e| keep(e, || save_checkpoint(config, &state, &log)))?);
         let values: [fn(&InitializerStep) -> f32; 4] =
             [|r| r.loss, |r| r.space_diameters, |r| r.surface_diameters, |r| r.rectangle_sides];
         let [loss, corners, surface, edges] = values.map(|value| log.recent(100, value));
@@ -168,7 +169,7 @@ fn open(
     network: &DetectorConfig,
     objects: &ObjectSet,
 ) -> Result<(State, RunLog<InitializerStep>), TrainerError> {
-    let device = Device::flex();
+    let device = config.device.open()?.device;
     let (checkpoint, log_path) = (config.checkpoint_path(), config.out.with_extension("csv"));
     let description = describe(config);
     if config.resume {
@@ -231,7 +232,8 @@ fn start_from_file(
 
 /// What decides the weights: the configuration without what may change on resuming.
 fn describe(config: &InitializerTraining) -> String {
-    let fixed = InitializerTraining { resume: false, data_threads: 1, checkpoint_every: 1, ..config.clone() };
+    let device = ComputeDevice::default();
+    let fixed = InitializerTraining { resume: false, device, data_threads: 1, checkpoint_every: 1, ..config.clone() };
     serde_json::to_string_pretty(&fixed).unwrap_or_default()
 }
 

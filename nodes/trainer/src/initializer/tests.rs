@@ -18,6 +18,7 @@ fn tiny(folder: &Path) -> InitializerTraining {
         block: 4,
         uses: 2,
         warm_start: WarmStart::Random,
+        device: ComputeDevice::Cpu,
         scenes: Some(scenes),
         ..InitializerTraining::new(write_objects(folder), &network.to_string_lossy(), folder.join("w.safetensors"))
     }

@@ -1,17 +1,17 @@
 use crate::TrainerError;
 use crate::synth::SynthConfig;
-use pseudoflow_network::{Architecture, NetworkConfig};
+use pseudoflow_network::{Architecture, ComputeDevice, FlowNetwork, NetworkConfig, Plateau, Schedule, TrainConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A pre-training run. Unknown keys are rejected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PretrainConfig {
-    /// BOP `models/` folder; one network is trained for all its objects.
-    pub objects: PathBuf,
-    /// `nano`, `small`, `paper`, or the path of a YAML file as in config/networks.
+    /// BOP `models/` folders; one network is trained for all their objects.
+    pub objects: Vec<PathBuf>,
+    /// `refiner`, `nano`, `small`, `paper`, or the path of a YAML file as in config/networks.
     pub network: String,
     /// Where the weights go (safetensors). Log (.csv), plot (.svg) and checkpoint (.checkpoint) stand beside it.
     pub out: PathBuf,
@@ -40,25 +40,63 @@ pub struct PretrainConfig {
     /// paper takes 0.
     #[serde(default)]
     pub hidden_weight: f64,
+    /// How the learning rate changes; the refiner's default is a plateau, RAFT's one cycle.
+    #[serde(default)]
+    pub schedule: Option<Course>,
+    /// Memory of the moving average of the weights, in steps; the average is what is written. 0: the last step's weights.
+    #[serde(default)]
+    pub average: Option<u64>,
+    /// Every n-th object is kept out of the training, and the error is measured on renderings of these. 0: none.
+    #[serde(default)]
+    pub hold_out: usize,
+    /// Steps between measurements on the objects kept out.
+    #[serde(default = "defaults::validate_every")]
+    pub validate_every: u64,
     /// Steps between checkpoints.
     #[serde(default = "defaults::checkpoint_every")]
     pub checkpoint_every: u64,
     /// Continue from the checkpoint, which must exist.
     #[serde(default)]
     pub resume: bool,
+    /// What trains. A run may go on with another device; it then has other bits.
+    #[serde(default)]
+    pub device: ComputeDevice,
     /// Threads that make samples beside the training step. They do not change the result.
     #[serde(default = "defaults::data_threads")]
     pub data_threads: usize,
+    /// Folders of photographs for walls, tables and cards of the scenes; none for patterns alone.
+    #[serde(default)]
+    pub backgrounds: Vec<PathBuf>,
+    /// Leaves out meshes and pictures of which the `meta.json` of their folder does not say that they may be shipped; those of
+    /// folders without one are taken as the user's own.
+    #[serde(default)]
+    pub only_shippable: bool,
     /// The synthetic scenes.
     #[serde(default)]
     pub synth: SynthConfig,
+}
+
+/// The learning rate over a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Course {
+    /// Rises over the first 5 % of the steps and falls over the rest: for a number of steps known beforehand.
+    OneCycle,
+    /// Constant after `warm_up` steps until it falls over the last `cool_down` steps: such a training goes on, with more steps,
+    /// from where its cool-down began.
+    Plateau {
+        /// Steps over which the rate rises.
+        warm_up: u64,
+        /// Steps at the end over which it falls; 0 for none.
+        cool_down: u64,
+    },
 }
 
 /// What a run starts from.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WarmStart {
-    /// [`SHIPPED_WEIGHTS`] for RAFT-small, random weights for RAFT Basic (none are shipped for it).
+    /// [`SHIPPED_WEIGHTS`] for RAFT-small, [`SHIPPED_REFINER`] for the refiner, random weights for RAFT Basic (none are shipped for it).
     #[default]
     Auto,
     /// Random weights.
@@ -69,6 +107,9 @@ pub enum WarmStart {
 
 /// RAFT-small as its authors trained it, relative to the repository.
 pub const SHIPPED_WEIGHTS: &str = "config/weights/raft_small.safetensors";
+
+/// The refiner for all objects, relative to the repository.
+pub const SHIPPED_REFINER: &str = "config/weights/refiner.safetensors";
 
 /// Weights of this repository, which are looked for from the folder that the command runs in.
 pub(crate) fn shipped(path: &str) -> Result<PathBuf, TrainerError> {
@@ -96,6 +137,9 @@ mod defaults {
     pub(super) fn max_lr() -> f64 {
         2e-4
     }
+    pub(super) fn validate_every() -> u64 {
+        500
+    }
     pub(super) fn checkpoint_every() -> u64 {
         200
     }
@@ -107,7 +151,7 @@ mod defaults {
 impl PretrainConfig {
     /// The defaults for an object set, a network and an output file.
     #[must_use]
-    pub fn new(objects: PathBuf, network: &str, out: PathBuf) -> Self {
+    pub fn new(objects: Vec<PathBuf>, network: &str, out: PathBuf) -> Self {
         Self {
             objects,
             network: network.to_owned(),
@@ -120,9 +164,16 @@ impl PretrainConfig {
             iterations: None,
             sizes: Vec::new(),
             hidden_weight: 0.0,
+            schedule: None,
+            average: None,
+            hold_out: 0,
+            validate_every: defaults::validate_every(),
             checkpoint_every: defaults::checkpoint_every(),
             resume: false,
+            device: ComputeDevice::default(),
             data_threads: defaults::data_threads(),
+            backgrounds: Vec::new(),
+            only_shippable: false,
             synth: SynthConfig::default(),
         }
     }
@@ -136,6 +187,7 @@ impl PretrainConfig {
             s.size_px.is_multiple_of(8) && (64..=1024).contains(&s.size_px) && s.weight > 0.0 && s.weight.is_finite()
         };
         let rules = [
+            ("objects", !self.objects.is_empty(), "at least one folder"),
             ("steps", (1..=100_000_000).contains(&self.steps), "1 to 100000000"),
             ("batch", (1..=256).contains(&self.batch), "1 to 256"),
             ("max_lr", self.max_lr > 0.0 && self.max_lr <= 0.1, "a number over 0, at most 0.1"),
@@ -143,6 +195,8 @@ impl PretrainConfig {
             ("sizes", self.sizes.iter().all(size_ok), "multiples of 8 from 64 to 1024, with weights over 0"),
             ("hidden_weight", (0.0..=1.0).contains(&self.hidden_weight), "0 to 1"),
             ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
+            ("validate_every", self.validate_every > 0, "at least 1"),
+            ("hold_out", self.hold_out != 1, "0, or at least 2: something must be left to train on"),
             ("data_threads", (1..=64).contains(&self.data_threads), "1 to 64"),
         ];
         match rules.iter().find(|(_, holds, _)| !holds) {
@@ -155,22 +209,54 @@ impl PretrainConfig {
     ///
     /// # Errors
     /// When the YAML file is bad.
-    pub fn resolve_network(&self) -> Result<NetworkConfig, TrainerError> {
-        let mut network = network_named(&self.network)?;
-        network.iterations_train = self.iterations.unwrap_or(network.iterations_train);
+    pub(crate) fn resolve_network(&self) -> Result<FlowNetwork, TrainerError> {
+        let mut network = FlowNetwork::named(&self.network)?;
+        let iterations = match &mut network {
+            FlowNetwork::Raft(raft) => &mut raft.iterations_train,
+            FlowNetwork::Refiner(refiner) => &mut refiner.iterations_train,
+        };
+        *iterations = self.iterations.unwrap_or(*iterations);
         Ok(network)
+    }
+
+    /// Side of the network's crops, pixels.
+    ///
+    /// # Errors
+    /// When the YAML file is bad.
+    pub fn network_size_px(&self) -> Result<usize, TrainerError> {
+        Ok(self.resolve_network()?.size_px())
     }
 
     /// The weights file to start from, or `None` for random weights.
     ///
     /// # Errors
     /// When the default is meant and not there.
-    pub(super) fn start_weights(&self, network: &NetworkConfig) -> Result<Option<PathBuf>, TrainerError> {
-        Ok(match (&self.warm_start, network.arch) {
+    pub(super) fn start_weights(&self, network: &FlowNetwork) -> Result<Option<PathBuf>, TrainerError> {
+        Ok(match (&self.warm_start, network) {
             (WarmStart::File(path), _) => Some(path.clone()),
-            (WarmStart::Auto, Architecture::Small) => Some(shipped(SHIPPED_WEIGHTS)?),
-            (WarmStart::Auto, Architecture::Basic) | (WarmStart::Random, _) => None,
+            (WarmStart::Random, _) => None,
+            (WarmStart::Auto, FlowNetwork::Refiner(_)) => Some(shipped(SHIPPED_REFINER)?),
+            (WarmStart::Auto, FlowNetwork::Raft(raft)) if raft.arch == Architecture::Small => {
+                Some(shipped(SHIPPED_WEIGHTS)?)
+            }
+            (WarmStart::Auto, FlowNetwork::Raft(_)) => None,
         })
+    }
+
+    /// Learning rate, optimiser and clipping.
+    pub(super) fn train_config(&self) -> TrainConfig {
+        let (max_lr, total_steps) = (self.max_lr, self.steps);
+        match self.course() {
+            Course::OneCycle => TrainConfig::new(max_lr, total_steps),
+            Course::Plateau { warm_up, cool_down } => {
+                TrainConfig::scheduled(Schedule::Plateau(Plateau { max_lr, total_steps, warm_up, cool_down }))
+            }
+        }
+    }
+
+    /// Memory of the moving average, steps; 0 for none.
+    pub(super) fn averaged_steps(&self) -> u64 {
+        self.average.unwrap_or(if self.on_plateau() { 1000 } else { 0 })
     }
 
     /// The checkpoint's path.
@@ -178,14 +264,21 @@ impl PretrainConfig {
     pub fn checkpoint_path(&self) -> PathBuf {
         self.out.with_extension("checkpoint")
     }
+
+    /// The checkpoint of the step at which a cool-down began.
+    #[must_use]
+    pub fn plateau_path(&self) -> PathBuf {
+        self.out.with_extension("plateau")
+    }
 }
 
-/// A preset by its name, or the network of a YAML file.
+/// A RAFT preset by its name, or that of a YAML file.
 pub(crate) fn network_named(name: &str) -> Result<NetworkConfig, TrainerError> {
-    match name {
-        "nano" => Ok(NetworkConfig::nano()),
-        "small" => Ok(NetworkConfig::small()),
-        "paper" => Ok(NetworkConfig::paper()),
-        path => Ok(NetworkConfig::from_yaml_file(Path::new(path))?),
+    match FlowNetwork::named(name)? {
+        FlowNetwork::Raft(raft) => Ok(raft),
+        FlowNetwork::Refiner(_) => Err(TrainerError::Config {
+            field: "network".into(),
+            wanted: "nano, small, paper or a YAML file of a RAFT here",
+        }),
     }
 }

@@ -42,6 +42,11 @@ impl<R: Row> RunLog<R> {
         Ok(Self { path, reports })
     }
 
+    /// The CSV file.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
     pub(crate) fn save(&self) -> Result<(), TrainerError> {
         let mut text = format!("{}\n", R::HEADER);
         for report in &self.reports {

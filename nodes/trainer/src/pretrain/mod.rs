@@ -5,27 +5,32 @@
 mod config;
 mod data;
 mod log;
+mod networks;
 mod progress;
+mod run;
+mod validation;
 
 #[cfg(test)]
 mod tests;
 
-pub use config::{PretrainConfig, SHIPPED_WEIGHTS, SizeShare, WarmStart};
+pub use config::{Course, PretrainConfig, SHIPPED_REFINER, SHIPPED_WEIGHTS, SizeShare, WarmStart};
 pub(crate) use config::{network_named, shipped};
 pub use progress::{Progress, Silent, TerminalProgress};
 
 use crate::TrainerError;
-use crate::synth::SampleGenerator;
+use crate::synth::{ObjectPool, SampleGenerator};
 use data::Prefetch;
 pub(crate) use data::push_planes;
 pub(crate) use log::write_atomically;
 pub(crate) use log::{Curve, Row, RunLog};
-use pseudoflow_imaging::ObjectSet;
-use pseudoflow_network::{Device, NetworkConfig, TrainConfig, TrainState, Weights};
+use networks::PairNetwork;
+use pseudoflow_network::{ComputeDevice, FlowNetwork, NetworkError};
+use run::Run;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
+use validation::Validation;
 
 /// One step of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -104,88 +109,73 @@ pub struct PretrainSummary {
 /// them.
 ///
 /// # Errors
-/// A bad configuration, object set or start weights (before anything is written); a checkpoint of another run; a
-/// loss that is not finite (the last checkpoint stays); a full disk.
+/// A bad configuration, object set, device or start weights (before anything is written); a checkpoint of another run; a
+/// loss that is not finite (the last checkpoint stays); a GPU that fails (a checkpoint is written); a full disk.
 pub fn pretrain(config: &PretrainConfig, progress: &mut dyn Progress) -> Result<PretrainSummary, TrainerError> {
     config.check()?;
-    let network = config.resolve_network()?;
-    let objects = Arc::new(ObjectSet::load(&config.objects)?);
-    let generator = SampleGenerator::new(Arc::clone(&objects), config.synth.clone(), config.seed)?;
-    let (mut state, mut log) = open(config, &network, &objects)?;
-    let first = state.step();
-    progress.start(first, config.steps);
-    let (start, prefetch) = (Instant::now(), Prefetch::start(&generator, config, network.size_px, first));
-    let mut pairs = 0;
-    while state.step() < config.steps && !progress.should_stop() {
-        let batch = prefetch.next(state.step() - first)?;
-        pairs += batch.pairs();
-        log.reports.push(step(&mut state, &batch, network.size_px)?);
-        let (loss_px, epe_px) = recent(&log, 100);
-        progress.step(state.step(), &format!("loss {loss_px:.3} px  EPE {epe_px:.3} px"));
-        if state.step().is_multiple_of(config.checkpoint_every) {
-            save_checkpoint(config, &state, &log)?;
-        }
+    match config.resolve_network()? {
+        FlowNetwork::Raft(network) => train(config, network, progress),
+        FlowNetwork::Refiner(network) => train(config, network, progress),
     }
-    save_checkpoint(config, &state, &log)?;
-    let seconds = start.elapsed().as_secs_f64();
-    let made_per_s = pairs as f64 / prefetch.busy_s().max(1e-9);
-    finish(config, &state, &log, seconds, pairs as f64 / seconds.max(1e-9), made_per_s)
 }
 
-fn step(state: &mut TrainState, batch: &data::Batch, network_size_px: usize) -> Result<StepReport, TrainerError> {
-    // The weights fit any size; the checkpoint belongs to the network's own.
-    state.network.size_px = batch.size_px;
-    let stats = state.train_step(&batch.view());
-    state.network.size_px = network_size_px;
-    let stats = stats?;
-    Ok(StepReport {
-        step: stats.step,
-        size_px: batch.size_px,
-        loss_px: stats.loss,
-        epe_px: stats.epe,
-        grad_norm: stats.grad_norm,
-        learning_rate: stats.lr,
-    })
-}
-
-/// A new run, or the checkpoint's.
-fn open(
+fn train<M: PairNetwork>(
     config: &PretrainConfig,
-    network: &NetworkConfig,
-    objects: &ObjectSet,
-) -> Result<(TrainState, RunLog<StepReport>), TrainerError> {
-    let device = Device::flex();
-    let (checkpoint, log_path) = (config.checkpoint_path(), config.out.with_extension("csv"));
-    let description = describe(config);
-    if config.resume {
-        check_same_run(&config.run_path(), &description)?;
-        let state = TrainState::load(&checkpoint, network.clone(), &device)?;
-        let log = RunLog::resumed(log_path, state.step())?;
-        return Ok((state, log));
-    }
-    let mut weights = match config.start_weights(network)? {
-        Some(path) => {
-            ::log::info!("starting from {}", path.display());
-            Weights::load(&path, network)?
-        }
-        None => {
-            ::log::info!("starting from random weights, seed {}", config.seed);
-            Weights::random(network, config.seed)
-        }
+    network: M,
+    progress: &mut dyn Progress,
+) -> Result<PretrainSummary, TrainerError> {
+    let pool = ObjectPool::load(&config.objects)?;
+    let pool = if config.only_shippable { pool.only_shippable()? } else { pool };
+    let (pool, held_out) = match config.hold_out {
+        0 => (pool, None),
+        every => pool.hold_out(every),
     };
-    weights.info.objects = objects.iter().map(|object| object.name.clone()).collect();
-    let state = TrainState::new(network.clone(), TrainConfig::new(config.max_lr, config.steps), weights, &device)?;
-    if let Some(folder) = config.out.parent().filter(|f| !f.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).map_err(TrainerError::io(folder))?;
+    let generator = SampleGenerator::new(Arc::new(pool), config.synth.clone(), config.seed)?;
+    let generator = generator.with_backgrounds(&config.backgrounds, config.only_shippable)?;
+    let mut validation = Validation::new(config, &generator, held_out, network.size_px(), M::TAKES_GEOMETRY)?;
+    let mut run = Run::open(config, network, generator.objects())?;
+    write_atomically(&config.out.with_extension("card.json"), generator.card().to_json().as_bytes())?;
+    let first = run.state.step();
+    validation.resume(config, first)?;
+    progress.start(first, config.steps);
+    let (start, size_px) = (Instant::now(), run.state.network.size_px());
+    let prefetch = Prefetch::start(&generator, config, size_px, M::TAKES_GEOMETRY, first);
+    let mut pairs = 0;
+    while run.state.step() < config.steps && !progress.should_stop() {
+        let batch = prefetch.next(run.state.step() - first)?;
+        pairs += batch.pairs();
+        let step = run.step(&batch);
+        step.inspect_err(|e| keep(e, || run.save(config, &validation)))?;
+        let (loss_px, epe_px) = recent(&run.log, 100);
+        let seen = validation.last_text();
+        progress.step(run.state.step(), &format!("loss {loss_px:.3} px  EPE {epe_px:.3} px{seen}"));
+        run.between_steps(config, &mut validation)?;
     }
-    write_atomically(&config.run_path(), description.as_bytes())?;
-    Ok((state, RunLog::new(log_path)))
+    run.save(config, &validation)?;
+    let seconds = start.elapsed().as_secs_f64();
+    run.finish(config, seconds, pairs as f64 / seconds.max(1e-9), prefetch.made_per_s())
 }
 
 /// What decides the weights: the configuration without what may change on resuming.
 fn describe(config: &PretrainConfig) -> String {
-    let fixed = PretrainConfig { resume: false, data_threads: 1, checkpoint_every: 1, ..config.clone() };
+    let device = ComputeDevice::default();
+    let mut fixed = PretrainConfig { resume: false, device, data_threads: 1, checkpoint_every: 1, ..config.clone() };
+    fixed.validate_every = 1;
+    if config.on_plateau() {
+        // How long it lasts and how it ends may be decided at any time.
+        (fixed.steps, fixed.schedule) = (1, None);
+    }
     serde_json::to_string_pretty(&fixed).unwrap_or_default()
+}
+
+/// When a GPU fails, the steps before are whole: they go to the checkpoint, whatever its interval.
+pub(crate) fn keep(error: &TrainerError, save: impl FnOnce() -> Result<(), TrainerError>) {
+    if let TrainerError::Network(NetworkError::DeviceFailed { .. }) = error {
+        match save() {
+            Ok(()) => ::log::error!("the device failed; all steps before are in the checkpoint (`--resume`)"),
+            Err(error) => ::log::error!("the device failed, and the checkpoint could not be written: {error}"),
+        }
+    }
 }
 
 /// Refuses to resume with another configuration than the kept one.
@@ -208,39 +198,4 @@ impl PretrainConfig {
     pub fn run_path(&self) -> PathBuf {
         self.out.with_extension("run.json")
     }
-}
-
-/// The log first: a checkpoint never lacks lines of its log.
-fn save_checkpoint(config: &PretrainConfig, state: &TrainState, log: &RunLog<StepReport>) -> Result<(), TrainerError> {
-    log.save()?;
-    Ok(state.save(&config.checkpoint_path())?)
-}
-
-fn finish(
-    config: &PretrainConfig,
-    state: &TrainState,
-    log: &RunLog<StepReport>,
-    seconds: f64,
-    trained_per_s: f64,
-    made_per_s: f64,
-) -> Result<PretrainSummary, TrainerError> {
-    let plot = config.out.with_extension("svg");
-    log.save_plot(&plot)?;
-    let finished = state.step() >= config.steps;
-    if finished {
-        state.weights.save(&config.out)?;
-    }
-    let (loss_px, epe_px) = recent(log, 200);
-    let written = if finished { config.out.clone() } else { config.checkpoint_path() };
-    Ok(PretrainSummary {
-        step: state.step(),
-        finished,
-        loss_px,
-        epe_px,
-        seconds,
-        trained_per_s,
-        made_per_s,
-        written,
-        plot,
-    })
 }

@@ -8,8 +8,9 @@ fn tiny(folder: &Path) -> PretrainConfig {
     let yaml = "name: tiny\narch: small\nsize_px: 64\niterations_train: 2\niterations_infer: 2\n";
     fs::write(&network, yaml).unwrap();
     let mut config =
-        PretrainConfig::new(write_objects(folder), &network.to_string_lossy(), folder.join("w.safetensors"));
+        PretrainConfig::new(vec![write_objects(folder)], &network.to_string_lossy(), folder.join("w.safetensors"));
     (config.steps, config.batch, config.warm_start) = (4, 2, WarmStart::Random);
+    config.device = ComputeDevice::Cpu;
     config.sizes = vec![SizeShare { size_px: 64, weight: 1.0 }, SizeShare { size_px: 72, weight: 1.0 }];
     config
 }
@@ -79,4 +80,18 @@ fn larger_crops_come_in_smaller_batches() {
     assert_eq!(data::plan(&config, 128, 3), (256, 1));
     config.sizes.clear();
     assert_eq!(data::plan(&config, 128, 3), (128, 4));
+}
+
+#[test]
+fn every_pair_of_a_scene_is_used_once_and_a_batch_shows_different_scenes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = tiny(folder.path());
+    (config.batch, config.synth.pairs_per_scene) = (5, 3);
+    config.sizes = vec![SizeShare { size_px: 64, weight: 1.0 }, SizeShare { size_px: 128, weight: 1.0 }];
+    let mut seen = std::collections::BTreeSet::new();
+    for batch in data::uses(&config, 64, 48) {
+        let scenes: std::collections::BTreeSet<_> = batch.iter().map(|(scene, _)| *scene).collect();
+        assert_eq!(scenes.len(), batch.len(), "a batch repeats a scene");
+        assert!(batch.iter().all(|use_of| seen.insert(*use_of)), "a pair is used twice");
+    }
 }

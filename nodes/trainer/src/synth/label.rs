@@ -1,34 +1,48 @@
 //! The true flow of a synthetic sample.
 
+use super::picture::Samples;
 use super::pose::Placement;
 use super::window::Window;
 use nalgebra::Point2;
-use pseudoflow_imaging::raster::Rendering;
 
-/// True flow of a synthetic pair. It is a type of its own: labels of real images are estimates, and ground truth of
-/// real images never reaches training.
+/// True flow of a synthetic pair, and what the rendering of the reference knows. It is a type of its own: labels of real
+/// images are estimates, and ground truth of real images never reaches training.
+///
+/// All planes are `S x S`, row-major, on the pixels of the *reference*.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SyntheticFlow {
     /// Side S of the crop, pixels.
     pub size_px: u32,
-    /// `flow_ref_to_real`: `S x S` pairs (dx, dy), pixels of the crop, row-major; zero outside the reference's mask.
+    /// `flow_ref_to_real`: (dx, dy), pixels of the crop, on every foreground pixel, hidden ones too; zero elsewhere.
     pub flow_px: Vec<[f32; 2]>,
-    /// `S x S`: whether the pixel shows the object in the reference and so has a flow.
+    /// Whether the pixel shows the object in the reference and so has a flow.
     pub foreground: Vec<bool>,
-    /// `S x S`: whether the pixel's surface point is visible in the real-like image; the loss is taken there.
+    /// Whether the pixel's surface point is seen in the real-like crop: in front of the camera, inside the crop and the
+    /// image, hidden neither by something else nor by the object itself. The loss is taken there.
     pub visible: Vec<bool>,
+    /// Depth of the reference along the optical axis, metres; 0 in the background.
+    pub depth_m: Vec<f32>,
+    /// Unit normals of the reference, camera axes, turned to the camera; zero in the background. They are those of
+    /// [`pseudoflow_imaging::raster::normals_from_depth`].
+    pub normals: Vec<[f32; 3]>,
 }
 
 /// Two depths of the same surface differ by less than this, in diameters (a slanted surface within a sub-pixel).
 const SAME_SURFACE: f64 = 0.02;
 
+/// What the reference's rendering knows of its surface.
+pub(super) struct Geometry {
+    pub(super) depth_m: Vec<f32>,
+    pub(super) normals: Vec<[f32; 3]>,
+}
+
 impl SyntheticFlow {
     /// Each foreground pixel of the reference is unprojected, moved by the relative pose and projected with K'. It is
-    /// visible when it falls into the crop and the image, and the four sub-pixels around it show the object
+    /// visible when it falls into the crop and the image, and the four samples around it show the object
     /// at its depth (so it is neither behind something else nor behind the object itself).
     pub(super) fn of(
-        reference: &Rendering,
-        picture: &Rendering,
+        reference: Geometry,
+        seen: &Samples,
         placement: &Placement,
         window: &Window,
         diameter_m: f64,
@@ -36,27 +50,33 @@ impl SyntheticFlow {
         let crop = &placement.crop;
         let size = crop.size_px as usize;
         let k = crop.intrinsics(&placement.intrinsics);
-        let real_from_reference = placement.truth_camera_from_object * placement.reference_camera_from_object.inverse();
+        let real_from_reference =
+            (placement.truth_camera_from_object * placement.reference_camera_from_object.inverse()).to_homogeneous();
         let mut flow_px = vec![[0.0_f32; 2]; size * size];
         let mut visible = vec![false; size * size];
         let mut foreground = vec![false; size * size];
-        for index in (0..size * size).filter(|&i| reference.mask[i] != 0) {
+        // From a pixel of the crop to a sample of the window: an affine map of one scale.
+        let at = |x: f64| window.sample_from_image(&crop.image_from_crop(&Point2::new(x, x)));
+        let (origin, scale) = (at(0.0), at(1.0).x - at(0.0).x);
+        let inside = 0.0..=(size - 1) as f64;
+        for index in (0..size * size).filter(|&i| reference.depth_m[i] > 0.0) {
             let from = Point2::new((index % size) as f64, (index / size) as f64);
-            let point = real_from_reference * k.unproject(&from, f64::from(reference.depth_m[index]));
-            let Some(to) = k.project(&point) else { continue };
-            flow_px[index] = [(to.x - from.x) as f32, (to.y - from.y) as f32];
+            let point = k.unproject(&from, f64::from(reference.depth_m[index]));
+            let m = &real_from_reference;
+            let [x, y, z] =
+                [0, 1, 2].map(|i| m[(i, 0)] * point.x + m[(i, 1)] * point.y + m[(i, 2)] * point.z + m[(i, 3)]);
+            if z <= 0.0 {
+                continue;
+            }
+            let (u, v) = (k.fx * x / z + k.cx, k.fy * y / z + k.cy);
+            flow_px[index] = [(u - from.x) as f32, (v - from.y) as f32];
             foreground[index] = true;
-            let inside = |v: f64| (0.0..=(size - 1) as f64).contains(&v);
-            visible[index] = inside(to.x)
-                && inside(to.y)
-                && is_seen(
-                    picture,
-                    &window.rendered_from_image(&crop.image_from_crop(&to)),
-                    point.z,
-                    SAME_SURFACE * diameter_m,
-                );
+            visible[index] = inside.contains(&u)
+                && inside.contains(&v)
+                && is_seen(seen, [origin.x + scale * u, origin.y + scale * v], z, SAME_SURFACE * diameter_m);
         }
-        Self { size_px: crop.size_px, flow_px, foreground, visible }
+        let Geometry { depth_m, normals } = reference;
+        Self { size_px: crop.size_px, flow_px, foreground, visible, depth_m, normals }
     }
 
     /// How many pixels of the reference show the object.
@@ -72,16 +92,25 @@ impl SyntheticFlow {
     }
 }
 
-/// Whether a point at a sub-pixel is the object's surface there: its depth lies between those of the object's
-/// sub-pixels around it, or near them (a slanted face changes its depth from one to the next).
-fn is_seen(picture: &Rendering, at: &Point2<f64>, depth_m: f64, tolerance_m: f64) -> bool {
-    let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
-    let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)].map(|(i, j)| (at.x.floor() + i, at.y.floor() + j));
-    let depths = corners.iter().filter_map(|&(x, y)| {
-        let inside = (0.0..width).contains(&x) && (0.0..height).contains(&y);
-        let index = if inside { (y * width + x) as usize } else { return None };
-        (picture.mask[index] == 1).then(|| f64::from(picture.depth_m[index]))
-    });
-    let (near, far) = depths.fold((f64::MAX, f64::MIN), |(near, far), d| (near.min(d), far.max(d)));
-    (near - tolerance_m..=far + tolerance_m).contains(&depth_m)
+/// Whether a point at a place among the samples is the object's surface there: its depth lies between those of the object's
+/// samples around it, or near them (a slanted face changes its depth from one to the next).
+fn is_seen(seen: &Samples, [x, y]: [f64; 2], depth_m: f64, tolerance_m: f64) -> bool {
+    if x < -1.0 || y < -1.0 {
+        return false;
+    }
+    // Whole numbers at or below, shifted by one.
+    let (x, y) = ((x + 1.0) as usize, (y + 1.0) as usize);
+    let (mut near, mut far) = (f32::MAX, 0.0_f32);
+    for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+        let (Some(column), Some(row)) = ((x + i).checked_sub(1), (y + j).checked_sub(1)) else { continue };
+        if column < seen.width && row < seen.height {
+            let sample = row * seen.width + column;
+            if seen.owner[sample] == 1 {
+                let inverse = seen.inverse_depth[sample];
+                (near, far) = (near.min(inverse), far.max(inverse));
+            }
+        }
+    }
+    // 1 / far and 1 / near: the object's samples run from the one depth to the other.
+    far > 0.0 && (1.0 / f64::from(far) - tolerance_m..=1.0 / f64::from(near) + tolerance_m).contains(&depth_m)
 }

@@ -34,8 +34,8 @@ enum Kind {
 impl Pattern {
     /// Draws a surface; `busy` excludes the plain ones.
     pub(super) fn draw(rng: &mut impl Rng, busy: bool) -> Self {
-        let (saturation, base) = (rng.uniform32(0.1, 1.0), rng.uniform32(0.1, 0.95));
-        let spread = rng.uniform32(0.05, 0.6);
+        let (saturation, base) = (rng.uniform32(0.1, 1.0), rng.uniform32(0.05, 0.95));
+        let spread = rng.uniform32(0.05, 0.9);
         let palette = std::array::from_fn(|_| {
             let value = (base + spread * rng.uniform32(-1.0, 1.0)).clamp(0.02, 1.0);
             rng.colour(saturation, (value * 0.9, value))
@@ -89,13 +89,13 @@ impl Pattern {
                 self.blend(0.5 + 0.5 * t)
             }
             Kind::Tiles { joint } => {
-                let (fx, fy) = (x - x.floor(), y - y.floor());
+                let (fx, fy) = (x - x.whole(), y - y.whole());
                 match fx.min(fy).min(1.0 - fx).min(1.0 - fy) < joint {
                     true => self.palette[3],
                     false => self.blend(cell_value(x, y, seed)),
                 }
             }
-            Kind::Checker => self.palette[((x.floor() + y.floor()) as i32 & 1) as usize],
+            Kind::Checker => self.palette[((x.whole() + y.whole()) as i32 & 1) as usize],
             Kind::Cells => self.cells(x, y),
             Kind::Print => self.print(x, y),
             Kind::Shapes => self.shapes(x, y),
@@ -112,7 +112,7 @@ impl Pattern {
 
     /// Worley cells: the colour of the nearest of one random point per cell.
     fn cells(&self, x: f32, y: f32) -> [f32; 3] {
-        let (cx, cy) = (x.floor(), y.floor());
+        let (cx, cy) = (x.whole(), y.whole());
         let (mut best, mut value) = (f32::MAX, 0.0);
         for (i, j) in (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i as f32, j as f32))) {
             let (px, py) = (cx + i, cy + j);
@@ -128,7 +128,7 @@ impl Pattern {
     /// Lines of print: small dark cells on a light ground, words of random length.
     fn print(&self, x: f32, y: f32) -> [f32; 3] {
         let (sx, sy) = (x * 4.0, y * 2.0);
-        let line = sy - sy.floor();
+        let line = sy - sy.whole();
         let word = cell_value(sx * 0.22, sy, self.seed) > 0.3;
         let ink = word && (0.2..0.75).contains(&line) && cell_value(sx * 2.0, sy * 5.0, self.seed ^ 3) > 0.45;
         let paper = if cell_value(x * 0.25, y * 0.2, self.seed ^ 9) > 0.5 { 0 } else { 2 };
@@ -140,7 +140,7 @@ impl Pattern {
         for (layer, scale) in [(1_u32, 0.9_f32), (2, 0.5), (3, 0.27)] {
             let (px, py) = (x * scale + 13.7 * layer as f32, y * scale);
             let h = |salt| cell_value(px, py, self.seed ^ (layer * 101 + salt));
-            let (dx, dy) = (px - px.floor() - 0.3 - 0.4 * h(1), py - py.floor() - 0.3 - 0.4 * h(2));
+            let (dx, dy) = (px - px.whole() - 0.3 - 0.4 * h(1), py - py.whole() - 0.3 - 0.4 * h(2));
             let size = 0.12 + 0.2 * h(3);
             let inside = if h(4) < 0.5 { dx * dx + dy * dy < size * size } else { dx.abs() < size && dy.abs() < 0.1 };
             if inside && h(5) < 0.8 {
@@ -149,6 +149,18 @@ impl Pattern {
             }
         }
         self.palette[0]
+    }
+}
+
+/// [`f32::floor`] for numbers that fit an i32; the standard function is a call into libm on plain x86-64.
+trait Whole {
+    fn whole(self) -> f32;
+}
+
+impl Whole for f32 {
+    fn whole(self) -> f32 {
+        let towards_zero = self as i32 as f32;
+        towards_zero - f32::from(u8::from(towards_zero > self))
     }
 }
 
@@ -162,12 +174,12 @@ fn hash(x: i32, y: i32, seed: u32) -> u32 {
 
 /// A random number in `[0, 1)` for each cell of the integer grid.
 fn cell_value(x: f32, y: f32, seed: u32) -> f32 {
-    (hash(x.floor() as i32, y.floor() as i32, seed) >> 8) as f32 / 16_777_216.0
+    (hash(x.whole() as i32, y.whole() as i32, seed) >> 8) as f32 / 16_777_216.0
 }
 
 /// Smooth noise in `[0, 1)`, one random value at each integer point.
 pub(super) fn value_noise(x: f32, y: f32, seed: u32) -> f32 {
-    let (x0, y0) = (x.floor(), y.floor());
+    let (x0, y0) = (x.whole(), y.whole());
     let (tx, ty) = (x - x0, y - y0);
     let (sx, sy) = (tx * tx * (3.0 - 2.0 * tx), ty * ty * (3.0 - 2.0 * ty));
     let (ix, iy) = (x0 as i32, y0 as i32);

@@ -63,7 +63,7 @@ pub(super) trait Draw: Rng + Sized {
 
     /// An sRGB colour (0 to 1): any hue, saturation up to `max_saturation` (low ones likelier), value in a range.
     fn colour(&mut self, max_saturation: f32, value: (f32, f32)) -> [f32; 3] {
-        let saturation = max_saturation * self.random::<f32>().powi(2);
+        let saturation = max_saturation * self.random::<f32>().powf(1.3);
         hsv_to_rgb([self.random::<f32>() * 6.0, saturation, self.uniform32(value.0, value.1)])
     }
 }

@@ -5,17 +5,21 @@ mod table;
 pub(super) use table::Placed;
 
 use super::SynthConfig;
-use super::light::{Lighting, Material, ShadowMap};
+use super::config::LookConfig;
+use super::light::{Lighting, Material};
 use super::pattern::Pattern;
-use super::pose::{Placement, centre_m};
+use super::photo::{Photo, PhotoBank};
+use super::picture::Picture;
+use super::pool::ObjectPool;
+use super::pose::{Stand, centre_m};
 use super::random::Draw;
-use super::sensor::LinearImage;
-use super::things::{draw_shape, finger, sheet};
+use super::shapes::ShapeBank;
+use super::things::{draw_card, draw_shape, finger, sheet};
 use super::window::Window;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_imaging::raster::{Background, Item, Rendering, Scene, Scratch, Shader, Surface, render_scene};
-use pseudoflow_imaging::{ImagingError, Mesh, Object, ObjectSet};
+use pseudoflow_imaging::raster::{Item, Surface};
+use pseudoflow_imaging::{ImagingError, Mesh, Object};
 use rand::Rng;
 use std::sync::Arc;
 
@@ -28,10 +32,32 @@ struct Thing {
     in_front: bool,
 }
 
-/// What a thing looks like: its material on its own texture, or on a pattern of a given unit (metres).
+/// What a thing looks like.
+#[derive(Clone)]
 struct Look {
     material: Material,
-    pattern: Option<(Pattern, f32)>,
+    skin: Skin,
+}
+
+/// What is on a surface.
+#[derive(Clone)]
+enum Skin {
+    /// The mesh's own texture or colours.
+    Own,
+    /// A pattern and its unit, metres.
+    Pattern(Arc<Pattern>, f32),
+    /// A photograph on the thing's x-y plane: pixels per metre, the pixel at the origin, and the metres that a pixel of the
+    /// camera sees at a distance of one metre.
+    Photo { photo: Arc<Photo>, per_m: f32, origin: [f32; 2], footprint: f32 },
+}
+
+/// What scenes are made from.
+#[derive(Clone, Copy)]
+pub(super) struct Stock<'a> {
+    pub(super) objects: &'a ObjectPool,
+    pub(super) shapes: &'a ShapeBank,
+    pub(super) photos: &'a PhotoBank,
+    pub(super) look: &'a LookConfig,
 }
 
 /// All that can be seen, and the light. Camera frame, metres.
@@ -44,14 +70,6 @@ pub(super) struct SyntheticScene {
     diameter_m: f32,
 }
 
-/// What the scene looks like, and what is where.
-pub(super) struct Picture {
-    /// Linear light, one value per pixel of the window.
-    pub(super) light: LinearImage,
-    /// Depth and owner (1 is the object) at `supersampling` times the window's resolution.
-    pub(super) visible: Rendering,
-}
-
 /// Where things are placed: the object's surroundings in the image.
 struct Surroundings<'a> {
     intrinsics: &'a Intrinsics,
@@ -62,34 +80,59 @@ struct Surroundings<'a> {
     table_m: Option<f64>,
 }
 
+impl Stock<'_> {
+    /// An object, and its place: those of the pool first, then the procedural shapes, of which comes a given share.
+    pub(super) fn any(&self, rng: &mut impl Rng, procedural: f64) -> Result<(usize, &Arc<Object>), ImagingError> {
+        let place = match rng.chance(procedural) && self.shapes.len() > 0 {
+            true => self.objects.len() + rng.below(self.shapes.len()),
+            false => rng.below(self.objects.len()),
+        };
+        Ok((place, self.at(place)?))
+    }
+
+    pub(super) fn at(&self, place: usize) -> Result<&Arc<Object>, ImagingError> {
+        match place.checked_sub(self.objects.len()) {
+            Some(shape) => self.shapes.at(shape),
+            None => Ok(self.objects.at(place)),
+        }
+    }
+}
+
 impl SyntheticScene {
     /// Draws everything but the object, which stands at its true pose.
     pub(super) fn draw(
         rng: &mut impl Rng,
-        objects: &ObjectSet,
+        stock: &Stock<'_>,
         object: &Object,
-        placement: &Placement,
+        stand: &Stand,
         config: &SynthConfig,
     ) -> Result<Self, ImagingError> {
-        let around = Surroundings::draw(rng, object, placement);
-        let material = Material::of_target(rng);
+        let around = Surroundings::draw(rng, object, stand);
         let target = Thing {
             mesh: Arc::clone(&object.mesh),
-            camera_from_thing: placement.truth_camera_from_object,
-            look: Look { material, pattern: None },
+            camera_from_thing: stand.truth_camera_from_object,
+            look: Look { material: Material::of_target(rng, stock.look), skin: Skin::Own },
             in_front: false,
         };
         let mut things = vec![target];
         if rng.chance(config.occluded) {
-            around.add_occluders(rng, objects, &mut things)?;
+            around.add_occluders(rng, stock, &mut things)?;
         }
-        for _ in 0..rng.below(5) {
-            around.add_neighbour(rng, objects, &mut things)?;
+        // Half of the scenes are tidy, half are not.
+        let most = stock.look.most_neighbours;
+        let few = rng.chance(0.5);
+        for _ in 0..rng.below(if few { most.min(4) } else { most } + 1) {
+            around.add_neighbour(rng, stock, &mut things)?;
         }
-        let ground = around.ground(rng)?;
+        let ground = around.ground(rng, stock)?;
         let (centre_m, diameter_m) = (around.centre.coords.map(|v| v as f32), around.diameter_m as f32);
-        let lighting = Lighting::draw(rng, around.up.map(|v| v as f32), centre_m, diameter_m);
+        let lighting = Lighting::draw(rng, stock.look, around.up.map(|v| v as f32), centre_m, diameter_m);
         Ok(Self { things, ground, lighting, centre_m, diameter_m })
+    }
+
+    /// The object.
+    pub(super) fn target(&self) -> Item<'_> {
+        self.things[0].item()
     }
 
     /// Takes away what stands between camera and object.
@@ -100,78 +143,52 @@ impl SyntheticScene {
     /// Renders the window of the camera's image.
     pub(super) fn render(&self, window: &Window) -> Picture {
         let casting: Vec<Item<'_>> = self.things.iter().map(Thing::item).collect();
-        let shadow = self.lighting.shadow_map(&casting, self.centre_m, self.diameter_m);
+        let shadows = self.lighting.shadows(&casting, self.centre_m, self.diameter_m);
         let all: Vec<&Thing> = self.things.iter().chain(&self.ground).collect();
         let items: Vec<Item<'_>> = all.iter().map(|thing| thing.item()).collect();
-        let shader = SceneShader { looks: all.iter().map(|t| &t.look).collect(), lighting: &self.lighting, shadow };
-        let (width, height) = window.rendered_px();
-        let background = Background::Colour([100; 3]);
-        let scene = Scene { items: &items, intrinsics: window.rendered_intrinsics(), width, height, background };
-        let mut visible = Rendering::new(width, height);
-        render_scene(&scene, &shader, &mut Scratch::default(), &mut visible);
-        Picture { light: gather(&visible, window), visible }
+        let shade = |surface: &Surface| {
+            let look = &all[surface.item].look;
+            let albedo = look.albedo(surface);
+            self.lighting.shade(&Surface { albedo, ..*surface }, &look.material, &shadows)
+        };
+        Picture::render(&items, window, shade)
     }
 }
 
-/// The mean light over the sub-pixels of each pixel.
-fn gather(visible: &Rendering, window: &Window) -> LinearImage {
-    let (n, width, height) = (window.supersampling as usize, window.width as usize, window.height as usize);
-    let decode: [f32; 256] = std::array::from_fn(|v| decode_light(v as u8));
-    let raw = visible.rgb.as_raw();
-    let stride = width * n * 3;
-    let mut pixels = vec![[0.0_f32; 3]; width * height];
-    for (y, line) in raw.chunks_exact(stride).enumerate() {
-        let row = &mut pixels[y / n * width..][..width];
-        for (x, pixel) in line.as_chunks::<3>().0.iter().enumerate() {
-            (0..3).for_each(|k| row[x / n][k] += decode[usize::from(pixel[k])]);
+impl Look {
+    /// sRGB-encoded, 0 to 1.
+    fn albedo(&self, surface: &Surface) -> [f32; 3] {
+        match &self.skin {
+            Skin::Own => surface.albedo,
+            Skin::Pattern(pattern, unit_m) => {
+                let scale = 1.0 / unit_m;
+                let [x, y, z] = surface.point_in_object.map(|c| c * scale);
+                pattern.colour(x + 0.35 * z, y + 0.8 * z)
+            }
+            Skin::Photo { photo, per_m, origin, footprint } => {
+                let [x, y, z] = surface.point_in_object.map(|c| c * per_m);
+                // Seen at a slant a pixel covers more; half of that is taken, as its other side is not longer.
+                let facing = surface.normal_in_camera.iter().zip(surface.to_camera).map(|(n, v)| n * v).sum::<f32>();
+                let size = per_m * footprint * surface.point_in_camera[2] / facing.clamp(0.1, 1.0).sqrt();
+                photo.colour(origin[0] + x + 0.35 * z, origin[1] + y + 0.8 * z, size)
+            }
         }
     }
-    let share = 1.0 / (n * n) as f32;
-    pixels.iter_mut().for_each(|p| *p = p.map(|c| c * share));
-    LinearImage { width, height, pixels }
-}
 
-/// Brightest light that the rasteriser's bytes hold; a white sheet in full light has 1.
-const BRIGHTEST: f32 = 2.0;
-
-/// The rasteriser keeps bytes: light is kept as its cube root, whose steps are as fine as those of sRGB.
-fn encode_light(light: f32) -> f32 {
-    (light / BRIGHTEST).clamp(0.0, 1.0).cbrt()
-}
-
-fn decode_light(byte: u8) -> f32 {
-    BRIGHTEST * (f32::from(byte) / 255.0).powi(3)
-}
-
-struct SceneShader<'a> {
-    looks: Vec<&'a Look>,
-    lighting: &'a Lighting,
-    shadow: Option<ShadowMap>,
-}
-
-impl Shader for SceneShader<'_> {
-    fn shade(&self, surface: &Surface) -> [f32; 3] {
-        let look = self.looks[surface.item];
-        let mut surface = *surface;
-        if let Some((pattern, unit_m)) = &look.pattern {
-            let [x, y, z] = surface.point_in_object.map(|c| c / unit_m);
-            surface.albedo = pattern.colour(x + 0.35 * z, y + 0.8 * z);
-        }
-        self.lighting.shade(&surface, &look.material, self.shadow.as_ref()).map(encode_light)
+    fn pattern(material: Material, pattern: Pattern, unit_m: f32) -> Self {
+        Self { material, skin: Skin::Pattern(Arc::new(pattern), unit_m) }
     }
 }
 
 impl<'a> Surroundings<'a> {
-    fn draw(rng: &mut impl Rng, object: &Object, placement: &'a Placement) -> Self {
-        let truth = &placement.truth_camera_from_object;
-        let (elevation, roll) = (rng.uniform(8.0, 85.0).to_radians(), rng.uniform(-20.0, 20.0).to_radians());
-        let upright = Vector3::new(0.0, -elevation.cos(), -elevation.sin());
-        let up = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll) * upright;
+    fn draw(rng: &mut impl Rng, object: &Object, stand: &'a Stand) -> Self {
+        let truth = &stand.truth_camera_from_object;
+        let up = stand.up;
         let lowest = object.hull_m.iter().map(|p| up.dot(&(truth * p).coords)).fold(f64::MAX, f64::min);
         let gap_m = if rng.chance(0.7) { 0.0 } else { rng.uniform(0.0, 0.5) * object.diameter_m };
-        let table_m = rng.chance(0.75).then_some(lowest - gap_m);
+        let table_m = if stand.resting { Some(lowest) } else { rng.chance(0.6).then_some(lowest - gap_m) };
         Self {
-            intrinsics: &placement.intrinsics,
+            intrinsics: &stand.intrinsics,
             centre: truth * centre_m(object),
             diameter_m: object.diameter_m,
             up,
@@ -193,13 +210,13 @@ impl<'a> Surroundings<'a> {
     fn add_neighbour(
         &self,
         rng: &mut impl Rng,
-        objects: &ObjectSet,
+        stock: &Stock<'_>,
         things: &mut Vec<Thing>,
     ) -> Result<(), ImagingError> {
         let z_m = self.centre.z + self.diameter_m * rng.uniform(0.0, 2.5);
-        let offset = rng.uniform(0.5, 1.5);
+        let offset = rng.uniform(0.45, 1.3);
         let at = self.beside(rng, offset, z_m);
-        let mut thing = self.draw_thing(rng, objects, at)?;
+        let mut thing = self.draw_thing(rng, stock, at)?;
         if let (Some(table_m), true) = (self.table_m, rng.chance(0.8)) {
             let bottom = thing.lowest_m(&self.up);
             thing.camera_from_thing.translation.vector += self.up * (table_m - bottom);
@@ -212,17 +229,17 @@ impl<'a> Surroundings<'a> {
     fn add_occluders(
         &self,
         rng: &mut impl Rng,
-        objects: &ObjectSet,
+        stock: &Stock<'_>,
         things: &mut Vec<Thing>,
     ) -> Result<(), ImagingError> {
         if rng.chance(0.3) {
-            return self.add_hand(rng, things);
+            return self.add_hand(rng, stock, things);
         }
         for _ in 0..1 + rng.below(2) {
             let z_m = self.before(rng);
             let offset = rng.uniform(0.25, 0.7);
             let at = self.beside(rng, offset, z_m);
-            things.push(Thing { in_front: true, ..self.draw_thing(rng, objects, at)? });
+            things.push(Thing { in_front: true, ..self.draw_thing(rng, stock, at)? });
         }
         Ok(())
     }
@@ -231,25 +248,41 @@ impl<'a> Surroundings<'a> {
         (self.centre.z - self.diameter_m * rng.uniform(0.4, 1.3)).max(0.35 * self.centre.z)
     }
 
-    /// An object of the set or a random shape.
-    fn draw_thing(&self, rng: &mut impl Rng, objects: &ObjectSet, at: Point3<f64>) -> Result<Thing, ImagingError> {
+    /// An object of the pool, a random shape with a pattern, or a box or card with a photograph.
+    fn draw_thing(&self, rng: &mut impl Rng, stock: &Stock<'_>, at: Point3<f64>) -> Result<Thing, ImagingError> {
         let rotation = rng.rotation();
-        let chosen = objects.iter().nth(rng.below(objects.len()));
-        if let (Some(object), true) = (chosen, rng.chance(0.5)) {
+        if rng.chance(0.45) {
+            let (_, object) = stock.any(rng, 0.7 * stock.look.procedural)?;
             let camera_from_thing = Pose::from_parts(Translation3::from(at - rotation * centre_m(object)), rotation);
-            let look = Look { material: Material::of_distractor(rng), pattern: None };
+            let look = Look { material: Material::of_distractor(rng, stock.look), skin: Skin::Own };
             return Ok(Thing { mesh: Arc::clone(&object.mesh), camera_from_thing, look, in_front: false });
         }
         let size_m = self.diameter_m as f32 * rng.log_uniform32(0.3, 1.5);
-        let busy = rng.chance(0.6);
-        let pattern = Some((Pattern::draw(rng, busy), size_m));
-        let look = Look { material: Material::of_distractor(rng), pattern };
+        let material = Material::of_distractor(rng, stock.look);
         let camera_from_thing = Pose::from_parts(Translation3::from(at.coords), rotation);
-        Ok(Thing { mesh: Arc::new(draw_shape(rng, size_m)?), camera_from_thing, look, in_front: false })
+        let photo = if rng.chance(stock.look.photos) { stock.photos.draw(rng) } else { None };
+        let (mesh, look) = match photo {
+            Some(photo) => {
+                let wide = photo.size_px()[0] as f32 * rng.uniform32(0.3, 1.0);
+                let look = Look { material, skin: self.photo_skin(rng, photo, wide / size_m) };
+                (draw_card(rng, size_m)?, look)
+            }
+            None => {
+                let busy = rng.chance(0.6);
+                (draw_shape(rng, size_m)?, Look::pattern(material, Pattern::draw(rng, busy), size_m))
+            }
+        };
+        Ok(Thing { mesh: Arc::new(mesh), camera_from_thing, look, in_front: false })
+    }
+
+    /// A photograph with any of its places at the thing's origin.
+    fn photo_skin(&self, rng: &mut impl Rng, photo: &Arc<Photo>, per_m: f32) -> Skin {
+        let origin = photo.size_px().map(|size| rng.uniform32(0.0, size as f32));
+        Skin::Photo { photo: Arc::clone(photo), per_m, origin, footprint: (1.0 / self.intrinsics.fx) as f32 }
     }
 
     /// Two to four parallel fingers that reach over the edge of the object.
-    fn add_hand(&self, rng: &mut impl Rng, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
+    fn add_hand(&self, rng: &mut impl Rng, stock: &Stock<'_>, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
         let skin = [rng.uniform32(0.35, 0.95), rng.uniform32(0.6, 0.8), rng.uniform32(0.7, 0.95)];
         let skin = [skin[0], skin[0] * skin[1], skin[0] * skin[1] * skin[2]];
         let (radius_m, half_m) = (rng.uniform32(0.006, 0.012), rng.uniform32(0.03, 0.07));
@@ -258,38 +291,57 @@ impl<'a> Surroundings<'a> {
         let offset = rng.uniform(0.25, 0.55);
         let (at, rotation) = (self.beside(rng, offset, z_m), rng.rotation());
         let spread = rotation * Vector3::x() * f64::from(radius_m) * 2.2;
-        let material = Material::of_target(rng);
+        let material = Material::of_target(rng, stock.look);
         for i in 0..2 + rng.below(3) {
             let bent = rotation * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), rng.uniform(-0.15, 0.15));
             let camera_from_thing = Pose::from_parts(Translation3::from(at.coords + spread * i as f64), bent);
-            let look = Look { material, pattern: Some((Pattern::soft(rng, skin), 0.05)) };
+            let look = Look::pattern(material.clone(), Pattern::soft(rng, skin), 0.05);
             things.push(Thing { mesh: Arc::clone(&mesh), camera_from_thing, look, in_front: true });
         }
         Ok(())
     }
 
     /// The table, if any, and a wall behind everything.
-    fn ground(&self, rng: &mut impl Rng) -> Result<Vec<Thing>, ImagingError> {
+    fn ground(&self, rng: &mut impl Rng, stock: &Stock<'_>) -> Result<Vec<Thing>, ImagingError> {
         let far_m = self.centre.z
-            + self.diameter_m * if self.table_m.is_some() { rng.uniform(3.0, 12.0) } else { rng.uniform(0.8, 6.0) };
+            + self.diameter_m * if self.table_m.is_some() { rng.uniform(2.0, 10.0) } else { rng.uniform(0.8, 6.0) };
         let tilt = rng.direction().map(f64::from) * 0.4;
         let mut ground = Vec::with_capacity(2);
         if let Some(table_m) = self.table_m {
             let foot = self.centre + self.up * (table_m - self.up.dot(&self.centre.coords));
-            ground.push(self.backdrop(rng, foot, &self.up)?);
+            ground.push(self.backdrop(rng, stock, foot, &self.up, 0.7)?);
         }
         let behind = self.centre * (far_m / self.centre.z);
-        ground.push(self.backdrop(rng, behind, &(tilt - Vector3::z()))?);
+        ground.push(self.backdrop(rng, stock, behind, &(tilt - Vector3::z()), 1.0)?);
         Ok(ground)
     }
 
-    /// A patterned plane through a point, seen from the side of its normal.
-    fn backdrop(&self, rng: &mut impl Rng, through: Point3<f64>, normal: &Vector3<f64>) -> Result<Thing, ImagingError> {
+    /// A plane through a point, seen from the side of its normal, with a pattern or (in parts `photos` of the configured
+    /// share) a photograph.
+    fn backdrop(
+        &self,
+        rng: &mut impl Rng,
+        stock: &Stock<'_>,
+        through: Point3<f64>,
+        normal: &Vector3<f64>,
+        photos: f64,
+    ) -> Result<Thing, ImagingError> {
         let to_normal = UnitQuaternion::rotation_between(&Vector3::z(), normal)
             .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
-        let busy = rng.chance(0.35);
-        let unit_m = (self.diameter_m * rng.log_uniform(0.5, 3.0)) as f32;
-        let look = Look { material: Material::of_target(rng), pattern: Some((Pattern::draw(rng, busy), unit_m)) };
+        let material = Material::of_target(rng, stock.look);
+        let photo = if rng.chance(photos * stock.look.photos) { stock.photos.draw(rng) } else { None };
+        let look = match photo {
+            Some(photo) => {
+                // A pixel of the photograph is as large as 0.4 to 2.5 pixels of the camera.
+                let per_m = self.intrinsics.fx / through.z.abs().max(1e-3) / rng.log_uniform(0.4, 2.5);
+                Look { material, skin: self.photo_skin(rng, photo, per_m as f32) }
+            }
+            None => {
+                let busy = rng.chance(0.5);
+                let unit_m = (self.diameter_m * rng.log_uniform(0.5, 3.0)) as f32;
+                Look::pattern(material, Pattern::draw(rng, busy), unit_m)
+            }
+        };
         let mesh = Arc::new(sheet(60.0 * (self.diameter_m as f32).max(0.1))?);
         let camera_from_thing = Pose::from_parts(Translation3::from(through.coords), to_normal);
         Ok(Thing { mesh, camera_from_thing, look, in_front: false })
@@ -306,18 +358,5 @@ impl Thing {
         let step = (self.mesh.vertices_m.len() / 500).max(1);
         let along = |v: &[f32; 3]| up.dot(&(self.camera_from_thing * Point3::from(v.map(f64::from))).coords);
         self.mesh.vertices_m.iter().step_by(step).map(along).fold(f64::MAX, f64::min)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn light_survives_the_bytes() {
-        for light in [0.01_f32, 0.1, 0.5, 1.0, 1.9] {
-            let byte = (encode_light(light) * 255.0 + 0.5) as u8;
-            assert!((decode_light(byte) / light - 1.0).abs() < 0.05, "{light}");
-        }
     }
 }

@@ -20,6 +20,13 @@ pub(super) fn draw_shape(rng: &mut impl Rng, size_m: f32) -> Result<Mesh, Imagin
     }
 }
 
+/// A box or card, which shows a picture.
+pub(super) fn draw_card(rng: &mut impl Rng, size_m: f32) -> Result<Mesh, ImagingError> {
+    let half = size_m / 2.0;
+    let thick = if rng.chance(0.5) { 0.03 } else { rng.uniform32(0.2, 0.8) };
+    cuboid(half, half * rng.uniform32(0.4, 1.0), half * thick)
+}
+
 /// A finger or a rod along z with round ends.
 pub(super) fn finger(radius_m: f32, half_m: f32) -> Result<Mesh, ImagingError> {
     let ring = |i: usize, sign: f32| {

@@ -1,12 +1,16 @@
 //! Synthetic images of whole scenes, for the initializer (method.md, pipeline step 1).
 
+use super::config::{CameraConfig, LookConfig};
+use super::photo::PhotoBank;
+use super::picture::Picture;
+use super::pool::ObjectPool;
 use super::random::{Draw, stream};
-use super::scene::SyntheticScene;
-use super::sensor::Sensor;
-use super::window::Window;
+use super::scene::{Stock, SyntheticScene};
+use super::sensor::{Sensor, mean_light};
+use super::shapes::ShapeBank;
+use super::window::{SAMPLES, Window};
 use crate::TrainerError;
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_imaging::raster::Rendering;
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -93,7 +97,7 @@ pub struct SceneSample {
 /// Makes scenes of an object set. A scene depends on the seed and its index only.
 #[derive(Debug, Clone)]
 pub struct SceneGenerator {
-    objects: Arc<ObjectSet>,
+    objects: Arc<ObjectPool>,
     config: SceneConfig,
     seed: u64,
 }
@@ -103,6 +107,7 @@ impl SceneGenerator {
     /// When the configuration is out of range.
     pub fn new(objects: Arc<ObjectSet>, config: SceneConfig, seed: u64) -> Result<Self, TrainerError> {
         config.check()?;
+        let objects = Arc::new(ObjectPool::of_sets(std::slice::from_ref(&*objects)));
         Ok(Self { objects, config, seed })
     }
 
@@ -117,12 +122,16 @@ impl SceneGenerator {
         let centre =
             |size: u32, rng: &mut _| (f64::from(size) - 1.0) / 2.0 + Draw::uniform(rng, -0.02, 0.02) * f64::from(size);
         let intrinsics = Intrinsics { fx: focal, fy: focal, cx: centre(width, &mut rng), cy: centre(height, &mut rng) };
-        let (scene, placed) = SyntheticScene::draw_whole(&mut rng, &self.objects, &intrinsics, &self.config)?;
+        let (photos, look) = (PhotoBank::default(), LookConfig::default());
+        let shapes = ShapeBank::new(self.seed, 0);
+        let stock = Stock { objects: &self.objects, shapes: &shapes, photos: &photos, look: &look };
+        let (scene, placed) = SyntheticScene::draw_whole(&mut rng, &stock, &intrinsics, &self.config)?;
         let window = Window::whole(&intrinsics, self.config.image_px);
         let picture = scene.render(&window);
         // Sensors are drawn for images of 640 pixels.
-        let image = Sensor::draw(&mut rng).scaled((width as f32 / 640.0).min(1.0)).expose(&picture.light, &mut rng)?;
-        let (owner, depth_m) = owners(&picture.visible, &window, placed.len());
+        let sensor = Sensor::draw(&mut rng, &CameraConfig::default()).scaled((width as f32 / 640.0).min(1.0));
+        let image = sensor.expose(&picture.light, mean_light(&picture.light), &mut rng);
+        let (owner, depth_m) = owners(&picture, &window, placed.len());
         let instance = |p: &super::scene::Placed| SceneInstance {
             object_id: p.object_id,
             camera_from_object: p.camera_from_object,
@@ -131,10 +140,11 @@ impl SceneGenerator {
     }
 }
 
-/// Owner and depth of each image pixel, read at its first sub-pixel.
-fn owners(visible: &Rendering, window: &Window, objects: usize) -> (Vec<u8>, Vec<f32>) {
-    let (n, width, height) = (window.supersampling as usize, window.width as usize, window.height as usize);
+/// Owner and depth of each image pixel, read at its first sample.
+fn owners(picture: &Picture, window: &Window, objects: usize) -> (Vec<u8>, Vec<f32>) {
+    let (n, width, height) = (SAMPLES as usize, window.width as usize, window.height as usize);
     let place = |i: usize| (i / width * n) * width * n + i % width * n;
     let known = |owner: u8| if usize::from(owner) <= objects { owner } else { 0 };
-    (0..width * height).map(place).map(|at| (known(visible.mask[at]), visible.depth_m[at])).unzip()
+    let seen = &picture.visible;
+    (0..width * height).map(place).map(|at| (known(seen.owner[at]), seen.depth_m(at))).unzip()
 }

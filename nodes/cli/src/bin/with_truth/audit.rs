@@ -4,6 +4,7 @@ use pseudoflow_consistency::{ConsistencyConfig, ConsistencyNode, Label, label_pa
 use pseudoflow_flow::{FlowConfig, FlowNode};
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{FlowFields, Message, PseudoLabels, ReferenceViews};
+use pseudoflow_network::ComputeDevice;
 use pseudoflow_player::PlayerNode;
 use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
@@ -75,8 +76,9 @@ impl Nodes {
             model: args.weights.clone(),
             network: network(&args.network)?,
             size_px: args.size,
-            iterations: 12,
+            iterations: Some(12),
             max_batch: 8,
+            device: ComputeDevice::default(),
             engine: EngineConfig::default(),
             lockstep: None,
         };

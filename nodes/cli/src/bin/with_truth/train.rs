@@ -119,8 +119,13 @@ impl Samples {
     /// Truth in the form of labels; none when nothing of the object is seen.
     fn labels(&self, views: &ReferenceViews<'_>) -> Result<Option<(AlignedBytes, AlignedBytes)>, Failure> {
         let header = views.header;
-        let flow_header =
-            FlowFieldsHeader { fields: views.views.len() as u32, size_px: header.size_px, weights_version: 0 };
+        let flow_header = FlowFieldsHeader {
+            fields: views.views.len() as u32,
+            size_px: header.size_px,
+            weights_version: 0,
+            has_certainty: 0,
+            reserved: 0,
+        };
         let mut flow = AlignedBytes::zeroed(FlowFields::byte_len(&flow_header));
         FlowFields::write(&mut flow, flow_header);
         let labels_header = PseudoLabelsHeader {

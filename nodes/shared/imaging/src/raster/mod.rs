@@ -6,7 +6,11 @@
 //! shade with [`Headlight`] on [`crate::BACKGROUND_GREY`] (method.md, step 3). Colours are computed in
 //! sRGB-encoded values.
 
+mod coverage;
 mod grain;
+mod hit;
+mod normals;
+mod openness;
 mod software;
 mod studio;
 mod surface;
@@ -14,9 +18,11 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
-pub use software::{
-    Background, Item, MAX_ITEMS, PLAIN_ALBEDO, Scene, Scratch, SoftwareRasteriser, render_depth, render_scene,
-};
+pub use coverage::Scratch;
+pub use hit::PLAIN_ALBEDO;
+pub use normals::normals_from_depth;
+pub use openness::openness;
+pub use software::{Background, Item, MAX_ITEMS, Scene, SoftwareRasteriser, render_scene};
 pub use studio::{Light, Material, SoftShadow, Studio};
 pub use surface::{Headlight, Shader, Surface};
 

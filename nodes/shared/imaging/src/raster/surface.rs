@@ -5,6 +5,8 @@ pub struct Surface {
     pub item: usize,
     /// Texture or vertex colour, 0 to 1, sRGB-encoded.
     pub albedo: [f32; 3],
+    /// Share of the surroundings that is not hidden by the item itself ([`crate::Mesh::openness`]); 1 where not known.
+    pub openness: f32,
     /// The point, metres.
     pub point_in_camera: [f32; 3],
     /// The point, metres.

@@ -11,7 +11,7 @@ mod config;
 mod grid;
 mod loss;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use config::{CORNERS, DetectorConfig, SURFACE_UNIT};
 pub use grid::{Cell, Grid, STRIDES};
@@ -19,8 +19,8 @@ pub use loss::{DetectionLoss, DetectorOutput, InstanceTruth, LossWeights, SceneT
 
 use crate::config::Architecture;
 use crate::error::{NetworkError, Result};
-use crate::loss::values;
-use crate::model::{Model, Parameter, Source, TensorSpec, fingerprint};
+
+use crate::model::{Model, Parameter, Source, TensorSpec, fingerprint, read_together};
 use crate::raft::{Block, Conv, List, Norm, forward_normed, normed_conv};
 use crate::train::{StepStats, TrainState};
 use crate::weights::{NamedTensor, Weights, WeightsInfo};
@@ -276,7 +276,8 @@ impl TrainState<DetectorConfig> {
                 Trunk::Trained => features,
                 Trunk::Frozen => features.detach(),
             });
-            let [logits, offsets, surface, rectangles] = outputs.clone().map(values);
+            let read = read_together(outputs.clone()).unwrap_or_else(|error| panic!("{error}"));
+            let [logits, offsets, surface, rectangles] = read.try_into().expect("four outputs");
             let output = DetectorOutput {
                 logits: &logits,
                 offsets: &offsets,

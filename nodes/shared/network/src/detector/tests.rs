@@ -1,18 +1,18 @@
 use super::*;
 use crate::TrainConfig;
 
-fn tiny() -> DetectorConfig {
+pub(crate) fn tiny() -> DetectorConfig {
     DetectorConfig { name: "tiny".into(), input_px: [96, 64], widths: [16, 24], pyramid: 16, objects: 2 }
 }
 
-fn noise(len: usize, seed: u64) -> Vec<f32> {
+pub(crate) fn noise(len: usize, seed: u64) -> Vec<f32> {
     use rand::{Rng, SeedableRng};
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
 }
 
 /// A box of class 1 before the camera that fills the cells from (32, 16) to (64, 48).
-fn scene(grid: &Grid) -> SceneTruth {
+pub(crate) fn scene(grid: &Grid) -> SceneTruth {
     let corner = |i: usize| [0, 1, 2].map(|k| if i >> k & 1 == 0 { -0.1_f32 } else { 0.1 });
     let corners_m = std::array::from_fn(|i| {
         let [x, y, z] = corner(i);

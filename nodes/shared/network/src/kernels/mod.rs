@@ -5,21 +5,27 @@
 
 mod blend;
 mod conv;
+mod convex;
 mod gemm;
 mod l1;
 mod lookup;
 mod math;
+mod mixture;
 mod norm;
 mod simd;
+mod update;
 mod upsample;
 mod winograd;
 
 pub(crate) use blend::{GruBlend, ResetGate};
 pub(crate) use conv::Conv;
+pub(crate) use convex::ConvexUpsample;
 pub(crate) use l1::MaskedL1;
 pub(crate) use lookup::Lookup;
+pub(crate) use mixture::{MAX_LOG_SCALE, MixtureLoss, SURE_SCALE_PX};
 pub(crate) use norm::{AddRelu, InstanceNorm};
 pub(crate) use simd::vectorize;
+pub(crate) use update::GatedUpdate;
 pub(crate) use upsample::{Upsample, align_corners_matrix};
 pub(crate) use winograd::{WinogradConv, transform_weights};
 

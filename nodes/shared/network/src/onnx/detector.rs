@@ -65,7 +65,7 @@ impl Export<'_> {
     }
 
     /// Every pixel becomes four.
-    fn double(&mut self, x: &str) -> String {
+    pub(super) fn double(&mut self, x: &str) -> String {
         let scales = self.graph.floats(&[4], &[1.0, 1.0, 2.0, 2.0]);
         let attrs = [
             ("mode", Attr::Text("nearest")),

@@ -9,6 +9,7 @@ mod builder;
 mod detector;
 mod proto;
 mod recurrent;
+mod refiner;
 #[cfg(test)]
 mod tests;
 
@@ -19,6 +20,7 @@ use crate::raft::Raft;
 use crate::weights::{NamedTensor, Weights};
 use builder::{Attr, Batch, Builder};
 pub use detector::export_detector;
+pub use refiner::{export_refiner, is_refiner_onnx};
 
 /// What to export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,6 +33,20 @@ pub struct ExportOptions {
     pub batch: Option<usize>,
 }
 
+impl ExportOptions {
+    /// Checks iterations and batch; the size's rule is the network's.
+    fn check(&self) -> Result<()> {
+        if !(1..=64).contains(&self.iterations) {
+            let problem = format!("is {}; use 1 to 64", self.iterations);
+            return Err(NetworkError::ConfigValue { field: "iterations", problem });
+        }
+        if self.batch == Some(0) {
+            return Err(NetworkError::ConfigValue { field: "batch", problem: "is 0; use at least 1".into() });
+        }
+        Ok(())
+    }
+}
+
 /// The bytes of an ONNX file with inputs `reference` and `real` (N, 3, S, S), f32 in [-1, 1], and output `flow`
 /// (N, 2, S, S), px, defined on the reference. The same weights and options give the same bytes.
 ///
@@ -39,15 +55,7 @@ pub struct ExportOptions {
 pub fn export_onnx(weights: &Weights, config: &NetworkConfig, options: ExportOptions) -> Result<Vec<u8>> {
     let ExportOptions { size_px, iterations, batch } = options;
     check_size(size_px)?;
-    if !(1..=64).contains(&iterations) {
-        return Err(NetworkError::ConfigValue {
-            field: "iterations",
-            problem: format!("is {iterations}; use 1 to 64"),
-        });
-    }
-    if batch == Some(0) {
-        return Err(NetworkError::ConfigValue { field: "batch", problem: "is 0; use at least 1".into() });
-    }
+    options.check()?;
     // Names the first tensor that does not fit.
     Raft::new(weights, config, &burn::tensor::Device::flex())?;
     let mut export = Export { graph: Builder::default(), weights, arch: config.arch, batch, side: size_px / 8 };

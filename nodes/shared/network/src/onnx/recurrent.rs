@@ -7,7 +7,7 @@ use crate::kernels::align_corners_matrix;
 use crate::raft::LEVELS;
 
 /// Correlation maps of one level.
-struct Level {
+pub(super) struct Level {
     /// (N h w, 1, lh, lw).
     map: String,
     side: usize,
@@ -23,8 +23,9 @@ struct Gru {
 impl Export<'_> {
     /// The whole network; returns the flow at full size.
     pub(super) fn network(&mut self, reference: &str, real: &str, iterations: usize) -> String {
-        let levels = self.correlation(reference, real);
         let widths = self.arch.widths();
+        let [of_reference, of_real] = self.features(reference, real);
+        let levels = self.correlation(&of_reference, of_real, widths.features, LEVELS);
         let both = self.encoder(reference, "cnet", false);
         let parts = self.graph.split(&both, &[widths.hidden, widths.context]);
         let mut hidden = self.graph.op("Tanh", &[&parts[0]], &[]);
@@ -47,15 +48,22 @@ impl Export<'_> {
         }
     }
 
-    fn correlation(&mut self, reference: &str, real: &str) -> Vec<Level> {
-        let (features, side) = (self.arch.widths().features, self.side);
-        let [rows, mut pooled] = self.features(reference, real);
-        let rows = self.graph.reshape(&rows, &[-1, features as i64, (side * side) as i64]);
+    /// Correlation of features (N, `features`, h, w) of both images.
+    pub(super) fn correlation(
+        &mut self,
+        reference: &str,
+        mut pooled: String,
+        features: usize,
+        level_count: usize,
+    ) -> Vec<Level> {
+        let side = self.side;
+        let rows = reference;
+        let rows = self.graph.reshape(rows, &[-1, features as i64, (side * side) as i64]);
         let rows = self.graph.transpose(&rows, &[0, 2, 1]);
         let scale = self.graph.scalar(1.0 / (features as f32).sqrt());
         let rows = self.graph.op("Mul", &[&rows, &scale], &[]);
         let mut levels = Vec::new();
-        for level in 0..LEVELS {
+        for level in 0..level_count {
             if level > 0 {
                 let attrs = [("kernel_shape", Attr::Ints(vec![2, 2])), ("strides", Attr::Ints(vec![2, 2]))];
                 pooled = self.graph.op("AveragePool", &[&pooled], &attrs);
@@ -82,8 +90,8 @@ impl Export<'_> {
     }
 
     /// Windows around pixel + flow as (N h w, L (2 r + 1)^2).
-    fn lookup(&mut self, levels: &[Level], flow: &str) -> String {
-        let (side, radius) = (self.side, self.arch.widths().radius);
+    fn lookup(&mut self, levels: &[Level], flow: &str, radius: usize) -> String {
+        let side = self.side;
         let xs = (0..side * side).map(|i| (i % side) as f32);
         let ys = (0..side * side).map(|i| (i / side) as f32);
         let grid = self.graph.floats(&[1, 2, side, side], &xs.chain(ys).collect::<Vec<_>>());
@@ -113,10 +121,11 @@ impl Export<'_> {
         self.graph.concat(&windows.iter().map(String::as_str).collect::<Vec<_>>(), 1)
     }
 
-    fn motion(&mut self, levels: &[Level], flow: &str) -> String {
-        let looked_up = self.lookup(levels, flow);
-        // A 1x1 convolution on channels-last rows is a matrix product; only its result is transposed.
-        let first = self.conv_weights("update_block.encoder.convc1");
+    /// A 1x1 convolution with ReLU on looked-up windows, (N, O, h, w): on channels-last rows it is a matrix product; only its
+    /// result is transposed.
+    pub(super) fn lookup_conv(&mut self, levels: &[Level], flow: &str, radius: usize, name: &str) -> String {
+        let looked_up = self.lookup(levels, flow, radius);
+        let first = self.conv_weights(name);
         let [o, c, ..] = first.shape;
         let transposed: Vec<f32> = (0..c * o).map(|i| first.weight[i % o * c + i / o]).collect();
         let weight = self.graph.floats(&[c, o], &transposed);
@@ -125,7 +134,11 @@ impl Export<'_> {
         let corr = self.graph.relu(&corr);
         let side = self.side as i64;
         let corr = self.graph.reshape(&corr, &[-1, side, side, o as i64]);
-        let mut corr = self.graph.transpose(&corr, &[0, 3, 1, 2]);
+        self.graph.transpose(&corr, &[0, 3, 1, 2])
+    }
+
+    fn motion(&mut self, levels: &[Level], flow: &str) -> String {
+        let mut corr = self.lookup_conv(levels, flow, self.arch.widths().radius, "update_block.encoder.convc1");
         if self.arch == Architecture::Basic {
             corr = self.conv_relu(&corr, "update_block.encoder.convc2");
         }
@@ -193,14 +206,21 @@ impl Export<'_> {
     }
 
     fn upsample_convex(&mut self, flow: &str, hidden: &str) -> String {
-        let side = self.side as i64;
         let logits = self.conv_relu(hidden, "update_block.mask.0");
         let mut last = self.conv_weights("update_block.mask.2");
         last.weight.iter_mut().chain(&mut last.bias).for_each(|v| *v *= 0.25);
         let logits = self.conv(&logits, &last, 1);
-        let logits = self.graph.reshape(&logits, &[-1, 9, 64, side * side]);
+        let eight = self.graph.scalar(8.0);
+        let flow = self.graph.op("Mul", &[flow, &eight], &[]);
+        self.convex(&flow, 2, &logits)
+    }
+
+    /// x (N, `channels`, h, w) and logits (N, 9 * 64, h, w) to (N, `channels`, 8 h, 8 w).
+    pub(super) fn convex(&mut self, x: &str, channels: usize, logits: &str) -> String {
+        let side = self.side as i64;
+        let logits = self.graph.reshape(logits, &[-1, 9, 64, side * side]);
         let weights = self.graph.op("Softmax", &[&logits], &[("axis", Attr::Int(1))]);
-        let neighbours = self.neighbours(flow);
+        let neighbours = self.neighbours(x, channels);
         let axis = self.graph.ints(&[1]);
         let planes: Vec<String> = neighbours
             .iter()
@@ -213,27 +233,25 @@ impl Export<'_> {
                 self.graph.reshape(&fine, &[-1, 1, 8 * side, 8 * side])
             })
             .collect();
-        self.graph.concat(&[&planes[0], &planes[1]], 1)
+        self.graph.concat(&planes.iter().map(String::as_str).collect::<Vec<_>>(), 1)
     }
 
-    /// x and y of the 3x3 neighbours of each pixel, times 8, zeros outside: two of (N, 1, 9, h w).
-    fn neighbours(&mut self, flow: &str) -> Vec<String> {
+    /// The 3x3 neighbours of each pixel, zeros outside, for each channel: (N, 1, 9, h w).
+    fn neighbours(&mut self, x: &str, channels: usize) -> Vec<String> {
         let side = self.side as i64;
-        let eight = self.graph.scalar(8.0);
-        let flow = self.graph.op("Mul", &[flow, &eight], &[]);
         let pads = self.graph.ints(&[0, 0, 1, 1, 0, 0, 1, 1]);
-        let padded = self.graph.op("Pad", &[&flow, &pads], &[("mode", Attr::Text("constant"))]);
+        let padded = self.graph.op("Pad", &[x, &pads], &[("mode", Attr::Text("constant"))]);
         let axes = self.graph.ints(&[2, 3]);
         let windows: Vec<String> = (0..9)
             .map(|k| {
                 let (first, last) = ([k / 3, k % 3], [k / 3 + side, k % 3 + side]);
                 let (first, last) = (self.graph.ints(&first), self.graph.ints(&last));
                 let window = self.graph.op("Slice", &[&padded, &first, &last, &axes], &[]);
-                self.graph.reshape(&window, &[-1, 2, 1, side * side])
+                self.graph.reshape(&window, &[-1, channels as i64, 1, side * side])
             })
             .collect();
         let all = self.graph.concat(&windows.iter().map(String::as_str).collect::<Vec<_>>(), 2);
-        self.graph.split(&all, &[1, 1])
+        self.graph.split(&all, &vec![1; channels])
     }
 }
 

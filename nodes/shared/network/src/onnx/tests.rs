@@ -96,3 +96,43 @@ fn detector_equals_burn() {
         assert!(worst < 1e-3, "{worst}");
     }
 }
+
+#[test]
+fn refiner_equals_burn() {
+    let config = crate::RefinerConfig::default();
+    let weights = Weights::random(&config, 7);
+    let (size, device) = (64, Device::flex());
+    for (batch, n) in [(Some(2), 2), (None, 1)] {
+        let options = ExportOptions { size_px: size, iterations: 3, batch };
+        let model = rten::Model::load(export_refiner(&weights, &config, options).unwrap()).unwrap();
+        let [real, first] = images(n, size, 1);
+        let reference = [first, images(n, size, 2).concat()].concat()[..n * 5 * size * size].to_vec();
+        let input = |name: &str, channels: usize, data: &[f32]| {
+            let tensor = rten_tensor::Tensor::from_data(&[n, channels, size, size], data.to_vec());
+            (model.node_id(name).unwrap(), rten::ValueOrView::from(tensor))
+        };
+        let inputs = vec![input("reference", 5, &reference), input("real", 3, &real)];
+        let wanted = ["flow", "certainty"].map(|name| model.node_id(name).unwrap());
+        let outputs = model.run(inputs, &wanted, None).unwrap();
+        let [flow, certainty]: [rten_tensor::Tensor<f32>; 2] =
+            outputs.into_iter().map(|o| o.try_into().unwrap()).collect::<Vec<_>>().try_into().unwrap();
+        let refiner = config.build(&weights, &device).unwrap();
+        let ours = refiner.infer_slices(&reference, &real, n, size, 3, &device).unwrap();
+        let (area, sigmoid) = (size * size, |x: f32| 1.0 / (1.0 + (-x).exp()));
+        let (flow, certainty) = (flow.to_vec(), certainty.to_vec());
+        for image in 0..n {
+            for i in 0..area {
+                let ours = |channel: usize| ours[(5 * image + channel) * area + i];
+                let theirs = |plane: &[f32], channel: usize| plane[(2 * image + channel) * area + i];
+                for (a, b) in [
+                    (ours(0), theirs(&flow, 0)),
+                    (ours(1), theirs(&flow, 1)),
+                    (sigmoid(ours(4)), theirs(&certainty, 0)),
+                    (sigmoid(ours(2)), theirs(&certainty, 1)),
+                ] {
+                    assert!((a - b).abs() < 1e-3, "{a} and {b} at pixel {i} of image {image}, batch {batch:?}");
+                }
+            }
+        }
+    }
+}

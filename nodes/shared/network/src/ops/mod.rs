@@ -156,3 +156,29 @@ pub fn masked_l1(flow: Tensor<4>, target: Tensor<4>, mask: Tensor<4>) -> Tensor<
     }
     run3(flow, target, mask, kernels::MaskedL1)
 }
+
+/// [`reset_gate`]'s unit without a reset gate: `(1 - z) h + z q` with `z = sigmoid(a_z + c_z)`, `q = tanh(a_q + c_q)`; a and c
+/// (N, 2 C, h, w) hold gate and candidate, h is (N, C, h, w).
+pub fn gated_update(a: Tensor<4>, c: Tensor<4>, h: Tensor<4>) -> Tensor<4> {
+    if !has_kernels(&h.device()) {
+        return stock::gated_update(a, c, h);
+    }
+    run3(a, c, h, kernels::GatedUpdate)
+}
+
+/// Learned upsampling by eight: x (N, C, h, w) and logits (N, 9 * 64, h, w) in RAFT's order to (N, C, 8 h, 8 w).
+pub fn upsample_convex(x: Tensor<4>, logits: Tensor<4>) -> Tensor<4> {
+    if !has_kernels(&x.device()) {
+        return stock::upsample_convex(x, logits);
+    }
+    run2(x, logits, kernels::ConvexUpsample)
+}
+
+/// The loss of a flow that says how sure it is: prediction (N, 5, H, W) and target (N, 4, H, W) as the refiner has them
+/// ([`crate::RefinerBatch`]) to a tensor of shape (1).
+pub fn mixture_loss(prediction: Tensor<4>, target: Tensor<4>, visibility_weight: f32) -> Tensor<1> {
+    if !has_kernels(&prediction.device()) {
+        return stock::mixture_loss(prediction, target, visibility_weight);
+    }
+    run2(prediction, target, kernels::MixtureLoss { visibility_weight })
+}

@@ -1,7 +1,8 @@
 //! The same operations from burn's stock ones: for GPU devices, and the reference in the kernels' tests.
 
 use super::ConvSpec;
-use burn::tensor::activation::{relu, sigmoid};
+use crate::kernels::{MAX_LOG_SCALE, SURE_SCALE_PX};
+use burn::tensor::activation::{relu, sigmoid, softmax, softplus};
 use burn::tensor::module;
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -79,4 +80,47 @@ pub(super) fn upsample_bilinear(flow: Tensor<4>) -> Tensor<4> {
 
 pub(super) fn masked_l1(flow: Tensor<4>, target: Tensor<4>, mask: Tensor<4>) -> Tensor<1> {
     ((flow - target).abs() * mask).sum()
+}
+
+pub(super) fn gated_update(a: Tensor<4>, c: Tensor<4>, h: Tensor<4>) -> Tensor<4> {
+    let channels = h.dims()[1];
+    let sum = a + c;
+    let z = sigmoid(half(sum.clone(), channels, 0));
+    let q = half(sum, channels, 1).tanh();
+    h.clone() + z * (q - h)
+}
+
+pub(super) fn upsample_convex(x: Tensor<4>, logits: Tensor<4>) -> Tensor<4> {
+    let [n, c, h, w] = x.dims();
+    let weights = softmax(logits.reshape([n, 9, 64, h, w]), 1);
+    let side = Tensor::zeros([n, c, h, 1], &x.device());
+    let wide = Tensor::cat(vec![side.clone(), x, side], 3);
+    let edge = Tensor::zeros([n, c, 1, w + 2], &wide.device());
+    let padded = Tensor::cat(vec![edge.clone(), wide, edge], 2);
+    let mixed = (0..9).map(|k| {
+        let neighbour = padded.clone().narrow(2, k / 3, h).narrow(3, k % 3, w).reshape([n, c, 1, h, w]);
+        neighbour * weights.clone().narrow(1, k, 1)
+    });
+    let sum: Tensor<5> = mixed.reduce(|a, b| a + b).expect("nine neighbours");
+    // (n, c, fy, fx, y, x) to (n, c, y, fy, x, fx).
+    let fine: Tensor<6> = sum.reshape([n, c, 8, 8, h, w]);
+    fine.permute([0, 1, 4, 2, 5, 3]).reshape([n, c, 8 * h, 8 * w])
+}
+
+pub(super) fn mixture_loss(prediction: Tensor<4>, target: Tensor<4>, visibility_weight: f32) -> Tensor<1> {
+    let channel = |t: &Tensor<4>, k: usize| t.clone().narrow(1, k, 1);
+    let l1 = (prediction.clone().narrow(1, 0, 2) - target.clone().narrow(1, 0, 2)).abs().sum_dim(1) / SURE_SCALE_PX;
+    let log_b = sigmoid(channel(&prediction, 3)) * MAX_LOG_SCALE;
+    let logit = channel(&prediction, 2);
+    let sure = l1.clone().neg() - softplus(logit.clone().neg(), 1.0);
+    let unsure = l1.neg() * log_b.clone().neg().exp() - log_b * 2.0 - softplus(logit, 1.0);
+    // ln(e^a + e^b) = a + ln(1 + e^(b - a)).
+    let nll = (sure.clone() + softplus(unsure - sure, 1.0)).neg() + (4.0 * SURE_SCALE_PX * SURE_SCALE_PX).ln();
+    let counts = channel(&target, 2);
+    let flow = (nll * counts.clone()).sum() / counts.sum().clamp_min(1.0);
+    let seen = channel(&target, 3);
+    let foreground = seen.clone().greater_equal_elem(0.0).float();
+    let logit = channel(&prediction, 4);
+    let entropy = (softplus(logit.clone(), 1.0) - seen * logit) * foreground.clone();
+    flow + entropy.sum() / foreground.sum().clamp_min(1.0) * visibility_weight
 }

@@ -245,3 +245,54 @@ fn nan_is_not_hidden() {
     assert!(values(instance_norm(x.clone(), true)).iter().all(|v| v.is_nan()));
     assert!(values(add_relu(x.clone(), x)).iter().all(|v| v.is_nan()));
 }
+
+#[test]
+fn gated_update_equals_stock_and_differences() {
+    let (a, c, h) = (random([2, 6, 4, 5], 1), random([2, 6, 4, 5], 2), random([2, 3, 4, 5], 3));
+    let ours = gated_update(a.clone(), c.clone(), h.clone());
+    let theirs = stock::gated_update(a.clone(), c.clone(), h.clone());
+    assert_close("y", &values(ours.clone()), &values(theirs.clone()), 1e-5);
+    let (ours, theirs) = (weigh(ours).backward(), weigh(theirs).backward());
+    for (name, t) in [("a", &a), ("c", &c), ("h", &h)] {
+        assert_close(name, &grad_of(t, &ours), &grad_of(t, &theirs), 1e-5);
+    }
+    check_differences("a", &a, &grad_of(&a, &ours), |a| weighed(gated_update(a, c.clone(), h.clone())));
+}
+
+#[test]
+fn convex_upsampling_equals_stock_and_differences() {
+    for (h, w) in [(3, 4), (1, 2), (2, 1)] {
+        let (x, logits) = (random([2, 3, h, w], 1), random([2, 576, h, w], 2));
+        let ours = upsample_convex(x.clone(), logits.clone());
+        let theirs = stock::upsample_convex(x.clone(), logits.clone());
+        assert_eq!(ours.dims(), [2, 3, 8 * h, 8 * w]);
+        assert_close("y", &values(ours.clone()), &values(theirs.clone()), 1e-5);
+        let (ours, theirs) = (weigh(ours).backward(), weigh(theirs).backward());
+        assert_close("x", &grad_of(&x, &ours), &grad_of(&x, &theirs), 1e-4);
+        assert_close("logits", &grad_of(&logits, &ours), &grad_of(&logits, &theirs), 1e-4);
+        check_differences("logits", &logits, &grad_of(&logits, &ours), |l| weighed(upsample_convex(x.clone(), l)));
+    }
+}
+
+/// Errors well away from zero, where an L1 distance has a corner; hidden, counted and background pixels.
+#[test]
+fn mixture_loss_equals_stock_and_differences() {
+    let prediction = random([2, 5, 4, 6], 1);
+    let area = 24;
+    let mut target = vec![0.0; 2 * 4 * area];
+    for image in target.chunks_exact_mut(4 * area) {
+        for i in 0..area {
+            (image[i], image[area + i]) = (if i % 2 == 0 { 1.5 } else { -4.0 }, 2.5);
+            image[2 * area + i] = f32::from(u8::from(i % 3 == 0));
+            image[3 * area + i] = [1.0, 0.0, -1.0][i % 3];
+        }
+    }
+    let target = Tensor::<4>::from_data(TensorData::new(target, [2, 4, 4, 6]), &device());
+    let ours = mixture_loss(prediction.clone(), target.clone(), 0.7);
+    let theirs = stock::mixture_loss(prediction.clone(), target.clone(), 0.7);
+    assert_close("loss", &values(ours.clone()), &values(theirs.clone()), 1e-5);
+    let (ours, theirs) = (ours.backward(), theirs.backward());
+    assert_close("gradient", &grad_of(&prediction, &ours), &grad_of(&prediction, &theirs), 1e-4);
+    let loss = |p| f64::from(values(mixture_loss(p, target.clone(), 0.7))[0]);
+    check_differences("prediction", &prediction, &grad_of(&prediction, &ours), loss);
+}

@@ -3,8 +3,9 @@
 use crate::ops::{self, ConvSpec, Prepared3x3};
 use burn::tensor::Tensor;
 
-/// Input channels from which on Winograd's transforms cost less than they save.
+/// Input channels and filters from which on Winograd's transforms cost less than they save.
 const WINOGRAD_FROM: usize = 32;
+const WINOGRAD_FILTERS: usize = 8;
 
 /// A convolution padded by half its kernel, as all of RAFT's are.
 #[derive(Debug)]
@@ -18,8 +19,8 @@ pub(crate) enum Conv {
 impl Conv {
     /// From weights (O, C, kh, kw) and bias (O).
     pub(crate) fn new((weight, bias): (Tensor<4>, Tensor<1>), stride: usize) -> Self {
-        let [_, c, kh, kw] = weight.dims();
-        if [kh, kw] == [3, 3] && stride == 1 && c >= WINOGRAD_FROM {
+        let [o, c, kh, kw] = weight.dims();
+        if [kh, kw] == [3, 3] && stride == 1 && c >= WINOGRAD_FROM && o >= WINOGRAD_FILTERS {
             return Self::Same3x3(Prepared3x3::new(weight, bias));
         }
         Self::General { weight, bias, stride }

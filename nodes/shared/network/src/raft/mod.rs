@@ -12,16 +12,17 @@ mod update;
 mod upsample;
 
 pub(crate) use conv::Conv;
+pub(crate) use correlation::{Pyramid, grid};
 pub(crate) use encoder::{Block, Norm, forward_normed, normed_conv};
 pub(crate) use layout::{LEVELS, List};
 
 use crate::config::{Architecture, NetworkConfig, check_size};
 use crate::error::{NetworkError, Result};
-use crate::model::{Model, Parameter, Source};
+use crate::guard::guarded_on;
+use crate::model::{Model, Parameter, Source, read_together};
 use crate::ops;
 use crate::weights::Weights;
 use burn::tensor::{Device, Tensor, TensorData, activation};
-use correlation::Pyramid;
 use encoder::Encoder;
 use update::UpdateBlock;
 
@@ -73,7 +74,7 @@ impl Raft {
     /// [`Self::infer`] on plain slices of `n` NCHW image pairs of side `size_px`; returns (n, 2, S, S).
     ///
     /// # Errors
-    /// The size is not allowed or a slice has another length.
+    /// The size is not allowed, a slice has another length, or a GPU failed.
     pub fn infer_slices(
         &self,
         reference: &[f32],
@@ -91,8 +92,10 @@ impl Raft {
             }
             Ok(Tensor::<4>::from_data(TensorData::new(data.to_vec(), shape), device))
         };
-        let flow = self.infer(image("reference", reference)?, image("real", real)?, iterations);
-        Ok(flow.into_data().try_into_vec::<f32>().expect("the network works in f32"))
+        guarded_on(device, || {
+            let flow = self.infer(image("reference", reference)?, image("real", real)?, iterations);
+            Ok(read_together([flow])?.remove(0))
+        })
     }
 
     /// Calls `each(i, flow at 1/8 (N, 2, S/8, S/8), hidden state)` after each iteration.
@@ -121,7 +124,7 @@ impl Raft {
     fn pyramid(&self, reference: Tensor<4>, real: Tensor<4>) -> Pyramid {
         let n = reference.dims()[0];
         let both = self.feature_encoder.forward(Tensor::cat(vec![reference, real], 0));
-        Pyramid::new(both.clone().narrow(0, 0, n), both.narrow(0, n, n), self.arch.widths().radius)
+        Pyramid::new(both.clone().narrow(0, 0, n), both.narrow(0, n, n), self.arch.widths().radius, LEVELS)
     }
 
     /// First hidden state and context of the reference.

@@ -3,19 +3,19 @@ use crate::raft::Raft;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-fn tiny() -> NetworkConfig {
+pub(crate) fn tiny() -> NetworkConfig {
     NetworkConfig { name: "tiny".into(), size_px: 64, iterations_train: 2, ..NetworkConfig::nano() }
 }
 
-struct Data {
-    reference: Vec<f32>,
-    real: Vec<f32>,
-    flow: Vec<f32>,
-    mask: Vec<f32>,
+pub(crate) struct Data {
+    pub(crate) reference: Vec<f32>,
+    pub(crate) real: Vec<f32>,
+    pub(crate) flow: Vec<f32>,
+    pub(crate) mask: Vec<f32>,
 }
 
 /// A blob texture shifted by a whole number of px, so that the flow is exact.
-fn data(n: usize, seed: u64) -> Data {
+pub(crate) fn data(n: usize, seed: u64) -> Data {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let (size, area) = (64_usize, 64 * 64);
     let mut data = Data { reference: vec![], real: vec![], flow: vec![], mask: vec![0.0; n * area] };
@@ -36,7 +36,7 @@ fn data(n: usize, seed: u64) -> Data {
     data
 }
 
-fn batch(data: &Data, n: usize) -> FlowBatch<'_> {
+pub(crate) fn batch(data: &Data, n: usize) -> FlowBatch<'_> {
     FlowBatch { reference: &data.reference, real: &data.real, flow: &data.flow, mask: &data.mask, n }
 }
 
@@ -108,7 +108,7 @@ fn gradient_of_the_whole_loss_equals_differences() {
         (sequence_loss(&flows, &batch, 0.8), raft)
     };
     let (value, raft) = loss(&weights);
-    let grads = gradients::<NetworkConfig>(&raft, &value.backward());
+    let (grads, _) = gradients_with::<NetworkConfig>(&raft, &value.backward(), vec![]).unwrap();
     for seed in 0..3 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut slope = 0.0_f64;

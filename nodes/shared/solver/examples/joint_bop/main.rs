@@ -204,6 +204,7 @@ fn main() -> Result<(), Failure> {
                 depth_m: &rendering.depth_m,
                 mask: &rendering.mask,
                 flow_px: flow,
+                certainty: None,
                 intrinsics: *k,
                 camera_from_object: case.rough,
             };

@@ -1,6 +1,6 @@
 //! A whole scene: several objects of the set on a table or in the air, with other things between them.
 
-use super::{Look, Surroundings, SyntheticScene, Thing};
+use super::{Look, Skin, Stock, Surroundings, SyntheticScene, Thing};
 use crate::synth::light::{Lighting, Material};
 use crate::synth::pattern::Pattern;
 use crate::synth::pose::centre_m;
@@ -9,7 +9,7 @@ use crate::synth::things::draw_shape;
 use crate::synth::whole::SceneConfig;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_imaging::{ImagingError, Object, ObjectSet};
+use pseudoflow_imaging::ImagingError;
 use rand::Rng;
 use std::sync::Arc;
 
@@ -47,10 +47,11 @@ impl SyntheticScene {
     /// Draws a scene of several objects; the first things are those of the returned list, in its order.
     pub(in crate::synth) fn draw_whole(
         rng: &mut impl Rng,
-        objects: &ObjectSet,
+        stock: &Stock<'_>,
         intrinsics: &Intrinsics,
         config: &SceneConfig,
     ) -> Result<(Self, Vec<Placed>), ImagingError> {
+        let objects = stock.objects;
         let diameter_m = objects.iter().map(|o| o.diameter_m).sum::<f64>() / objects.len() as f64;
         let projected_px = rng.log_uniform(config.projected_px[0], config.projected_px[1]);
         let z_m = (intrinsics.fx * diameter_m / projected_px).max(2.0 * diameter_m);
@@ -63,22 +64,22 @@ impl SyntheticScene {
         let mut taken = Taken::default();
         let (mut placed, mut things) = (Vec::new(), Vec::new());
         for _ in 0..(2 + rng.below(config.most_objects as usize)).min(config.most_objects as usize) {
-            if let Some((at, thing)) = table.object(rng, objects, &mut taken) {
+            if let Some((at, thing)) = table.object(rng, stock, &mut taken) {
                 placed.push(at);
                 things.push(thing);
             }
         }
         for _ in 0..rng.below(config.most_others as usize + 1) {
-            things.extend(table.other(rng, diameter_m, &mut taken)?);
+            things.extend(table.other(rng, stock, diameter_m, &mut taken)?);
         }
         if rng.chance(config.occluded) {
-            things.push(table.hanging(rng, diameter_m)?);
+            things.push(table.hanging(rng, stock, diameter_m)?);
         }
         let table_m = on_table.then(|| up.dot(&middle.coords));
         let around = Surroundings { intrinsics, centre: middle, diameter_m: 1.5 * diameter_m, up, table_m };
-        let ground = around.ground(rng)?;
+        let ground = around.ground(rng, stock)?;
         let (centre_m, wide_m) = (middle.coords.map(|v| v as f32), (3.0 * diameter_m) as f32);
-        let lighting = Lighting::draw(rng, up.map(|v| v as f32), centre_m, wide_m);
+        let lighting = Lighting::draw(rng, stock.look, up.map(|v| v as f32), centre_m, wide_m);
         Ok((Self { things, ground, lighting, centre_m, diameter_m: wide_m }, placed))
     }
 }
@@ -111,15 +112,15 @@ impl Table<'_> {
     }
 
     /// One of the objects, where there is room for it.
-    fn object(&self, rng: &mut impl Rng, objects: &ObjectSet, taken: &mut Taken) -> Option<(Placed, Thing)> {
-        let object: &Object = objects.iter().nth(rng.below(objects.len()))?;
+    fn object(&self, rng: &mut impl Rng, stock: &Stock<'_>, taken: &mut Taken) -> Option<(Placed, Thing)> {
+        let object = stock.objects.at(rng.below(stock.objects.len()));
         for _ in 0..TRIES {
             let (at, rotation) = (self.place(rng), self.orientation(rng));
             let Some(at) = at else { continue };
             let mut thing = Thing {
                 mesh: Arc::clone(&object.mesh),
                 camera_from_thing: Pose::from_parts(Translation3::from(at - rotation * centre_m(object)), rotation),
-                look: Look { material: Material::of_target(rng), pattern: None },
+                look: Look { material: Material::of_target(rng, stock.look), skin: Skin::Own },
                 in_front: false,
             };
             self.stand(&mut thing);
@@ -134,11 +135,17 @@ impl Table<'_> {
     }
 
     /// Something that is not of the set.
-    fn other(&self, rng: &mut impl Rng, diameter_m: f64, taken: &mut Taken) -> Result<Option<Thing>, ImagingError> {
+    fn other(
+        &self,
+        rng: &mut impl Rng,
+        stock: &Stock<'_>,
+        diameter_m: f64,
+        taken: &mut Taken,
+    ) -> Result<Option<Thing>, ImagingError> {
         let size_m = diameter_m * rng.log_uniform(0.3, 1.6);
         for _ in 0..TRIES {
             let Some(at) = self.place(rng) else { continue };
-            let mut thing = shape(rng, size_m, at)?;
+            let mut thing = shape(rng, stock, size_m, at)?;
             self.stand(&mut thing);
             let centre = Point3::from(thing.camera_from_thing.translation.vector);
             if centre.z > size_m && taken.has_room(&centre, size_m / 2.0) {
@@ -150,12 +157,12 @@ impl Table<'_> {
     }
 
     /// Something nearer to the camera than everything else.
-    fn hanging(&self, rng: &mut impl Rng, diameter_m: f64) -> Result<Thing, ImagingError> {
+    fn hanging(&self, rng: &mut impl Rng, stock: &Stock<'_>, diameter_m: f64) -> Result<Thing, ImagingError> {
         let [width, height] = self.image_px;
         let pixel = Point2::new(rng.uniform(0.0, width), rng.uniform(0.0, height));
         let at = self.intrinsics.unproject(&pixel, self.centre.z * rng.uniform(0.4, 0.75));
         let size_m = diameter_m * rng.log_uniform(0.2, 0.8);
-        shape(rng, size_m, at)
+        shape(rng, stock, size_m, at)
     }
 
     /// Lowers or lifts a thing onto the table.
@@ -167,10 +174,10 @@ impl Table<'_> {
     }
 }
 
-fn shape(rng: &mut impl Rng, size_m: f64, at: Point3<f64>) -> Result<Thing, ImagingError> {
+fn shape(rng: &mut impl Rng, stock: &Stock<'_>, size_m: f64, at: Point3<f64>) -> Result<Thing, ImagingError> {
     let busy = rng.chance(0.6);
-    let look =
-        Look { material: Material::of_distractor(rng), pattern: Some((Pattern::draw(rng, busy), size_m as f32)) };
+    let material = Material::of_distractor(rng, stock.look);
+    let look = Look::pattern(material, Pattern::draw(rng, busy), size_m as f32);
     let camera_from_thing = Pose::from_parts(Translation3::from(at.coords), rng.rotation());
     Ok(Thing { mesh: Arc::new(draw_shape(rng, size_m as f32)?), camera_from_thing, look, in_front: true })
 }

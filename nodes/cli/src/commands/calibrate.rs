@@ -1,0 +1,166 @@
+//! `pseudoflow calibrate`: what the gate believes, from synthetic images. Objects are placed in synthetic scenes, whose truth
+//! is lawful; rough poses are made of it; the pipeline refines them as it would those of a camera's image; and from what it
+//! says about itself a model is fitted that tells how often that was right.
+
+mod fit;
+mod samples;
+
+use super::progress_bar;
+use crate::pipeline::{Pipeline, PipelineConfig};
+use anyhow::{Context as _, Result, ensure};
+use fit::{Fitted, fit_stage};
+use pseudoflow_flow::FlowConfig;
+use pseudoflow_inference::EngineConfig;
+use pseudoflow_network::ComputeDevice;
+use pseudoflow_pnp::PnpNodeConfig;
+use pseudoflow_pnp::gate::{GateModel, Stage};
+use pseudoflow_renderer::RendererConfig;
+use samples::{Maker, Sample};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// Meshes to calibrate with: BOP `models` folders. Plain and textured ones, and none of those that it will be tested with.
+    #[arg(long, required = true, num_args = 1..)]
+    objects: Vec<PathBuf>,
+    /// Weights of the flow network: `.safetensors` or `.onnx`.
+    #[arg(long)]
+    weights: PathBuf,
+    /// The network that the weights belong to: nano, small or paper.
+    #[arg(long, default_value = "auto")]
+    network: String,
+    /// Refinements to learn from.
+    #[arg(long, default_value_t = 3000)]
+    pairs: usize,
+    /// Width and height of the crops, pixels; several share the refinements.
+    #[arg(long, value_delimiter = ',', default_value = "256")]
+    size: Vec<u32>,
+    /// Iterations of the network.
+    #[arg(long)]
+    iterations: Option<u32>,
+    /// Ridge of the models: how strongly weights are drawn to 0.
+    #[arg(long, default_value_t = 3.0)]
+    ridge: f64,
+    /// Seed of the scenes and of the rough poses.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// The model to write; `gate.model` of pnp names it. The samples go beside it, `.samples.jsonl`.
+    #[arg(long)]
+    out: PathBuf,
+    /// Samples of earlier runs to fit with too.
+    #[arg(long, num_args = 1..)]
+    samples: Vec<PathBuf>,
+}
+
+pub(crate) fn run(args: &Args) -> Result<ExitCode> {
+    ensure!(!args.size.is_empty() && args.ridge > 0.0, "give at least one `--size` and a `--ridge` over 0");
+    let mut all = Vec::new();
+    for file in &args.samples {
+        all.extend(samples::read(file)?);
+    }
+    let made = make(args)?;
+    samples::write(&args.out.with_extension("samples.jsonl"), &made)?;
+    all.extend(made);
+    let fitted = fit_stage(&all, args.ridge).with_context(|| format!("{} refinements", all.len()))?;
+    print!("{}", report(&all, &fitted));
+    write(args, &all, fitted)?;
+    println!("model: {}", args.out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// As many refinements as asked for, an equal share of each folder and size.
+fn make(args: &Args) -> Result<Vec<Sample>> {
+    let bar = progress_bar(args.pairs as u64, "refine");
+    let shares = args.objects.len() * args.size.len();
+    let mut made = Vec::with_capacity(args.pairs);
+    for (i, (folder, size)) in args.objects.iter().flat_map(|f| args.size.iter().map(move |s| (f, *s))).enumerate() {
+        let wanted = args.pairs * (i + 1) / shares - args.pairs * i / shares;
+        let mut pipeline = pipeline(args, folder, size)?;
+        let maker = Maker::open(folder, args.seed + 1000 * i as u64)?;
+        let mut of_share = Vec::with_capacity(wanted);
+        let mut scene = 0;
+        while of_share.len() < wanted {
+            of_share.extend(maker.scene(scene, &mut pipeline)?);
+            scene += 1;
+            bar.set_position((made.len() + of_share.len()).min(args.pairs) as u64);
+            ensure!(scene < 100 + 20 * wanted as u64, "{}: its objects are hardly ever seen", folder.display());
+        }
+        of_share.truncate(wanted);
+        made.extend(of_share);
+    }
+    bar.finish_and_clear();
+    Ok(made)
+}
+
+fn pipeline(args: &Args, objects: &Path, size_px: u32) -> Result<Pipeline> {
+    Pipeline::open(PipelineConfig {
+        renderer: RendererConfig::new(objects.to_owned(), size_px),
+        flow: FlowConfig {
+            model: args.weights.clone(),
+            network: super::export::network(&args.network)?,
+            size_px,
+            iterations: args.iterations,
+            max_batch: 16,
+            device: ComputeDevice::default(),
+            engine: EngineConfig::default(),
+            lockstep: None,
+        },
+        // Without a gate every solution comes out, the bad ones too.
+        pnp: PnpNodeConfig { gate: None, ..PnpNodeConfig::default() },
+        passes: 1,
+        seed: args.seed,
+    })
+}
+
+fn report(samples: &[Sample], fitted: &Fitted) -> String {
+    let right = |error: fn(&Sample) -> f64| samples.iter().filter(|s| error(s) < 0.1).count();
+    let mut text = format!(
+        "{} refinements of {} objects: right before {}, after {}; better after {}\n{:16} {:>7} {:>7} {:>10} {:>10} {:>10}\n",
+        samples.len(),
+        fitted.objects,
+        right(|s| s.before),
+        right(|s| s.after),
+        samples.iter().filter(|s| s.is_better()).count(),
+        "unseen objects",
+        "share",
+        "Brier",
+        "chance's",
+        "calib. err",
+        "area (ROC)",
+    );
+    for (name, check) in &fitted.checks {
+        text += &format!(
+            "{name:16} {:>7.3} {:>7.3} {:>10.3} {:>10.3} {:>10.3}\n",
+            check.share, check.brier, check.chance, check.calibration_error, check.area
+        );
+    }
+    let [pose, translation, rotation] = fitted.coverage;
+    text += &format!(
+        "truth within the 95 % ellipsoid, unseen objects: {pose:.3} (translation {translation:.3}, rotation {rotation:.3}); \
+         before the scaling {:.3}\n",
+        fitted.coverage_before
+    );
+    text
+}
+
+fn write(args: &Args, samples: &[Sample], fitted: Fitted) -> Result<()> {
+    let folders: Vec<String> = args.objects.iter().map(|f| f.display().to_string()).collect();
+    let sizes: Vec<String> = args.size.iter().map(u32::to_string).collect();
+    let made_by = format!(
+        "pseudoflow calibrate --objects {} --weights {} --size {} --pairs {} --ridge {} --seed {} ({} refinements)",
+        folders.join(" "),
+        args.weights.display(),
+        sizes.join(","),
+        args.pairs,
+        args.ridge,
+        args.seed,
+        samples.len()
+    );
+    let model = GateModel { made_by, stages: [(Stage::Flow, fitted.model)].into() };
+    let text = format!(
+        "# What pnp's gate believes (nodes/pnp/src/gate/model.rs says what the numbers mean).\n{}",
+        serde_yaml::to_string(&model)?
+    );
+    std::fs::write(&args.out, text).with_context(|| format!("{}: cannot be written", args.out.display()))
+}

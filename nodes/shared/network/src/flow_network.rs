@@ -1,0 +1,160 @@
+//! The networks that find flow, by name or by their weights: one place for all commands and nodes.
+
+use crate::config::NetworkConfig;
+use crate::error::Result;
+use crate::model::Model;
+use crate::onnx::{ExportOptions, export_onnx, export_refiner};
+use crate::raft::Raft;
+use crate::refiner::{Refiner, RefinerConfig};
+use crate::weights::Weights;
+use burn::tensor::Device;
+use std::path::Path;
+
+/// A network that finds flow from a rendering to a photograph.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum FlowNetwork {
+    /// A RAFT.
+    Raft(NetworkConfig),
+    /// The refiner for all objects, which says how certain it is.
+    Refiner(RefinerConfig),
+}
+
+impl FlowNetwork {
+    /// `refiner`, `nano`, `small`, `paper`, or the RAFT of a YAML file as in config/networks.
+    ///
+    /// # Errors
+    /// The YAML file is unreadable or bad.
+    pub fn named(name: &str) -> Result<Self> {
+        Ok(match name {
+            "refiner" => Self::Refiner(RefinerConfig::default()),
+            "nano" => Self::Raft(NetworkConfig::nano()),
+            "small" => Self::Raft(NetworkConfig::small()),
+            "paper" => Self::Raft(NetworkConfig::paper()),
+            path => Self::Raft(NetworkConfig::from_yaml_file(Path::new(path))?),
+        })
+    }
+
+    /// The network that a weight file says it belongs to: the refiner, or else RAFT-small.
+    ///
+    /// # Errors
+    /// The file is unreadable or damaged.
+    pub fn of_weights(path: &Path) -> Result<Self> {
+        let refiner = RefinerConfig::default();
+        let is_refiner = Weights::read_info(path)?.config_hash == refiner.hash();
+        Ok(if is_refiner { Self::Refiner(refiner) } else { Self::Raft(NetworkConfig::nano()) })
+    }
+
+    /// Whether it takes the depth of the rendering and says how certain it is.
+    #[must_use]
+    pub fn is_refiner(&self) -> bool {
+        matches!(self, Self::Refiner(_))
+    }
+
+    /// Side of the crops it is trained at, px.
+    #[must_use]
+    pub fn size_px(&self) -> usize {
+        match self {
+            Self::Raft(raft) => raft.size_px,
+            Self::Refiner(refiner) => refiner.size_px,
+        }
+    }
+
+    /// Recurrent iterations at run time.
+    #[must_use]
+    pub fn iterations_infer(&self) -> usize {
+        match self {
+            Self::Raft(raft) => raft.iterations_infer,
+            Self::Refiner(refiner) => refiner.iterations_infer,
+        }
+    }
+
+    /// Reads a weight file.
+    ///
+    /// # Errors
+    /// It is unreadable, damaged, or of another architecture.
+    pub fn load(&self, path: &Path) -> Result<Weights> {
+        match self {
+            Self::Raft(raft) => Weights::load(path, raft),
+            Self::Refiner(refiner) => Weights::load(path, refiner),
+        }
+    }
+
+    /// The same from a file's bytes; `origin` is named in errors.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn read(&self, bytes: &[u8], origin: &str) -> Result<Weights> {
+        match self {
+            Self::Raft(raft) => Weights::from_bytes(bytes, raft, origin),
+            Self::Refiner(refiner) => Weights::from_bytes(bytes, refiner, origin),
+        }
+    }
+
+    /// The bytes of an ONNX file.
+    ///
+    /// # Errors
+    /// Size, iterations or batch are out of range, or the weights belong to another architecture.
+    pub fn export(&self, weights: &Weights, options: ExportOptions) -> Result<Vec<u8>> {
+        match self {
+            Self::Raft(raft) => export_onnx(weights, raft, options),
+            Self::Refiner(refiner) => export_refiner(weights, refiner, options),
+        }
+    }
+
+    /// The network with its weights on a device.
+    ///
+    /// # Errors
+    /// The weights belong to another architecture.
+    pub fn build(&self, weights: &Weights, device: &Device) -> Result<BuiltFlow> {
+        Ok(match self {
+            Self::Raft(raft) => BuiltFlow::Raft(Raft::new(weights, raft, device)?),
+            Self::Refiner(refiner) => BuiltFlow::Refiner(Refiner::new(weights, refiner, device)?),
+        })
+    }
+}
+
+/// A [`FlowNetwork`] with its weights on a device.
+#[derive(Debug)]
+pub enum BuiltFlow {
+    /// A RAFT.
+    Raft(Raft),
+    /// The refiner.
+    Refiner(Refiner),
+}
+
+impl BuiltFlow {
+    /// Flow (n, 2, S, S), px, and of the refiner certainty (n, 2, S, S), 0..1, as [`export_refiner`] has them; references as the
+    /// network takes them.
+    ///
+    /// # Errors
+    /// The size is not allowed or a slice has another length.
+    pub fn infer(
+        &self,
+        [reference, real]: [&[f32]; 2],
+        n: usize,
+        size_px: usize,
+        iterations: usize,
+        device: &Device,
+    ) -> Result<(Vec<f32>, Option<Vec<f32>>)> {
+        match self {
+            Self::Raft(raft) => Ok((raft.infer_slices(reference, real, n, size_px, iterations, device)?, None)),
+            Self::Refiner(refiner) => {
+                let all = refiner.infer_slices(reference, real, n, size_px, iterations, device)?;
+                Ok(split(&all, size_px * size_px))
+            }
+        }
+    }
+}
+
+/// Flow, and visibility and confidence, from a refiner's prediction (n, 5, S, S).
+fn split(prediction: &[f32], area: usize) -> (Vec<f32>, Option<Vec<f32>>) {
+    let mut flow = Vec::with_capacity(prediction.len() / 5 * 2);
+    let mut certainty = Vec::with_capacity(prediction.len() / 5 * 2);
+    let sigmoid = |logit: &f32| 1.0 / (1.0 + (-logit).exp());
+    for image in prediction.chunks_exact(5 * area) {
+        flow.extend_from_slice(&image[..2 * area]);
+        certainty.extend(image[4 * area..].iter().map(sigmoid));
+        certainty.extend(image[2 * area..3 * area].iter().map(sigmoid));
+    }
+    (flow, Some(certainty))
+}

@@ -1,0 +1,174 @@
+//! The refiner as standard ONNX.
+
+use super::builder::{Attr, Builder};
+use super::{Export, ExportOptions, proto};
+use crate::config::Architecture;
+use crate::error::Result;
+use crate::model::Model;
+use crate::refiner::{LEVELS, RADIUS, REFERENCE_CHANNELS, RefinerConfig, WIDTHS, check_size};
+use crate::weights::Weights;
+use prost::Message as _;
+
+/// The bytes of an ONNX file with inputs `reference` (N, 5, S, S) and `real` (N, 3, S, S) as [`crate::Refiner::forward`] takes
+/// them, and outputs `flow` (N, 2, S, S), px, defined on the reference, and `certainty` (N, 2, S, S): probability that the
+/// rendered surface point is seen in the crop, and confidence that its flow is right to about a pixel, both 0..1. The same
+/// weights and options give the same bytes.
+///
+/// # Errors
+/// Size, iterations or batch are out of range, or the weights belong to another architecture.
+pub fn export_refiner(weights: &Weights, config: &RefinerConfig, options: ExportOptions) -> Result<Vec<u8>> {
+    let ExportOptions { size_px, iterations, batch } = options;
+    check_size(size_px)?;
+    options.check()?;
+    // Names the first tensor that does not fit.
+    config.build(weights, &burn::tensor::Device::flex())?;
+    let (graph, arch) = (Builder::default(), Architecture::Small);
+    let mut export = Export { graph, weights, arch, batch, side: size_px / 8 };
+    let reference = export.graph.input("reference", batch, &[REFERENCE_CHANNELS, size_px, size_px]);
+    let real = export.graph.input("real", batch, &[3, size_px, size_px]);
+    let [flow, certainty] = export.refiner(&reference, &real, iterations);
+    for (name, value) in [("flow", &flow), ("certainty", &certainty)] {
+        export.graph.output(name, value, batch, &[2, size_px, size_px]);
+    }
+    let info = serde_json::to_string(&weights.info).expect("plain struct");
+    let metadata = [
+        ("pseudoflow", info),
+        ("size_px", size_px.to_string()),
+        ("iterations", iterations.to_string()),
+        ("network", config.name.clone()),
+    ];
+    Ok(export.graph.finish("refiner", &metadata))
+}
+
+/// Whether the bytes of an ONNX file are those of a refiner: a network that says how certain it is.
+#[must_use]
+pub fn is_refiner_onnx(onnx: &[u8]) -> bool {
+    let model = proto::Model::decode(onnx).ok();
+    let outputs = model.and_then(|model| model.graph).map(|graph| graph.output).unwrap_or_default();
+    outputs.iter().any(|output| output.name == "certainty")
+}
+
+/// Features of one image at 1/8 and at 1/16.
+struct Features {
+    fine: String,
+    coarse: String,
+}
+
+impl Export<'_> {
+    fn refiner(&mut self, reference: &str, real: &str, iterations: usize) -> [String; 2] {
+        let [reference, real] =
+            [("reference", reference), ("real", real)].map(|(name, x)| self.refiner_features(name, x));
+        let [rows, columns] = [&reference, &real].map(|f| self.plain_conv(&f.fine, "match.fine"));
+        let levels = self.correlation(&rows, columns, WIDTHS.matching, LEVELS);
+        let (first, global) = self.global_look(&reference.coarse, &real.coarse);
+        let global = self.double(&global);
+        let both = self.graph.concat(&[&reference.fine, &global], 1);
+        let both = self.plain_conv(&both, "context");
+        let parts = self.graph.split(&both, &[WIDTHS.hidden, WIDTHS.context]);
+        let mut hidden = self.graph.op("Tanh", &[&parts[0]], &[]);
+        let context = self.graph.relu(&parts[1]);
+        let context = self.plain_conv(&context, "update.context");
+        let (first, two) = (self.double(&first), self.graph.scalar(2.0));
+        let mut flow = self.graph.op("Mul", &[&first, &two], &[]);
+        for _ in 0..iterations {
+            let corr = self.lookup_conv(&levels, &flow, RADIUS, "update.correlation");
+            hidden = self.refiner_step(&hidden, &corr, &flow, &context);
+            let head = self.conv_relu(&hidden, "head.0");
+            let delta = self.plain_conv(&head, "head.flow");
+            flow = self.graph.op("Add", &[&flow, &delta], &[]);
+        }
+        self.prediction(&flow, &hidden)
+    }
+
+    fn plain_conv(&mut self, x: &str, name: &str) -> String {
+        let weights = self.conv_weights(name);
+        self.conv(x, &weights, 1)
+    }
+
+    fn refiner_features(&mut self, stem: &str, image: &str) -> Features {
+        let stem = self.normed(image, &format!("stem.{stem}"), "", 2, true);
+        let mut x = self.graph.relu(&stem);
+        let mut levels = Vec::new();
+        for stage in 1..4 {
+            let down = self.normed(&x, &format!("trunk.{stage}.down"), "", 2, true);
+            let down = self.graph.relu(&down);
+            let mut y = self.normed(&down, &format!("trunk.{stage}.first"), "", 1, true);
+            if stage > 1 {
+                let first = self.graph.relu(&y);
+                y = self.normed(&first, &format!("trunk.{stage}.second"), "", 1, true);
+            }
+            let sum = self.graph.op("Add", &[&down, &y], &[]);
+            x = self.graph.relu(&sum);
+            levels.push(x.clone());
+        }
+        Features { fine: levels[1].clone(), coarse: levels[2].clone() }
+    }
+
+    /// Flow and context at 1/16.
+    fn global_look(&mut self, reference: &str, real: &str) -> (String, String) {
+        let matched = self.matched_flow(reference, real);
+        let x = self.graph.concat(&[reference, real, &matched], 1);
+        let x = self.conv_relu(&x, "global.0");
+        let y = self.conv_relu(&x, "global.1");
+        let everywhere = self.graph.op("GlobalAveragePool", &[&y], &[]);
+        let everywhere = self.plain_conv(&everywhere, "global.pool");
+        let y = self.graph.op("Add", &[&y, &everywhere], &[]);
+        let y = self.graph.relu(&y);
+        let y = self.conv_relu(&y, "global.2");
+        let context = self.graph.op("Add", &[&x, &y], &[]);
+        let change = self.plain_conv(&context, "global.flow");
+        (self.graph.op("Add", &[&matched, &change], &[]), context)
+    }
+
+    fn matched_flow(&mut self, reference: &str, real: &str) -> String {
+        let (side, features) = (self.side / 2, WIDTHS.matching as i64);
+        let area = (side * side) as i64;
+        let rows = self.plain_conv(reference, "match.coarse");
+        let rows = self.graph.reshape(&rows, &[-1, features, area]);
+        let rows = self.graph.transpose(&rows, &[0, 2, 1]);
+        let columns = self.plain_conv(real, "match.coarse");
+        let columns = self.graph.reshape(&columns, &[-1, features, area]);
+        let scores = self.graph.op("MatMul", &[&rows, &columns], &[]);
+        let scale = self.graph.scalar(1.0 / (features as f32).sqrt());
+        let scores = self.graph.op("Mul", &[&scores, &scale], &[]);
+        let weights = self.graph.op("Softmax", &[&scores], &[("axis", Attr::Int(2))]);
+        let at = |i: usize| [(i % side) as f32, (i / side) as f32];
+        let positions: Vec<f32> = (0..side * side).flat_map(at).collect();
+        let positions = self.graph.floats(&[side * side, 2], &positions);
+        let expected = self.graph.op("MatMul", &[&weights, &positions], &[]);
+        let flow = self.graph.op("Sub", &[&expected, &positions], &[]);
+        let flow = self.graph.transpose(&flow, &[0, 2, 1]);
+        self.graph.reshape(&flow, &[-1, 2, side as i64, side as i64])
+    }
+
+    /// The next hidden state.
+    fn refiner_step(&mut self, hidden: &str, corr: &str, flow: &str, context: &str) -> String {
+        let encoded = self.conv_relu(flow, "update.flow");
+        let both = self.graph.concat(&[corr, &encoded], 1);
+        let motion = self.conv_relu(&both, "update.motion");
+        let all = self.graph.concat(&[hidden, &motion, flow], 1);
+        let a = self.plain_conv(&all, "update.recurrent");
+        let a = self.graph.op("Add", &[&a, context], &[]);
+        let parts = self.graph.split(&a, &[WIDTHS.hidden, WIDTHS.hidden]);
+        let z = self.graph.op("Sigmoid", &[&parts[0]], &[]);
+        let q = self.graph.op("Tanh", &[&parts[1]], &[]);
+        let change = self.graph.op("Sub", &[&q, hidden], &[]);
+        let change = self.graph.op("Mul", &[&z, &change], &[]);
+        self.graph.op("Add", &[hidden, &change], &[])
+    }
+
+    /// Flow and certainty at full size.
+    fn prediction(&mut self, flow: &str, hidden: &str) -> [String; 2] {
+        let head = self.conv_relu(hidden, "head.0");
+        let certainty = self.plain_conv(&head, "head.certainty");
+        let eight = self.graph.scalar(8.0);
+        let flow = self.graph.op("Mul", &[flow, &eight], &[]);
+        let all = self.graph.concat(&[&flow, &certainty], 1);
+        let logits = self.plain_conv(hidden, "head.mask");
+        let fine = self.convex(&all, 5, &logits);
+        let parts = self.graph.split(&fine, &[2, 1, 1, 1]);
+        // Visibility first, then confidence.
+        let logits = self.graph.concat(&[&parts[3], &parts[1]], 1);
+        [parts[0].clone(), self.graph.op("Sigmoid", &[&logits], &[])]
+    }
+}
