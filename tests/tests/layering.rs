@@ -35,12 +35,13 @@ const NODES: [&str; 10] = [
     "pseudoflow-evaluator",
     "pseudoflow-recorder",
 ];
-const SHARED: [&str; 8] = [
+const SHARED: [&str; 9] = [
     "pseudoflow-msgs",
     "pseudoflow-geometry",
     "pseudoflow-imaging",
     "pseudoflow-network",
     "pseudoflow-inference",
+    "pseudoflow-contour",
     "pseudoflow-solver",
     "pseudoflow-metrics",
     "pseudoflow-runtime",

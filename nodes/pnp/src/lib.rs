@@ -3,8 +3,13 @@
 //! Each foreground pixel of the reference gives a 3D point (depth unprojected, object frame) and the crop pixel
 //! where the flow says it is seen; [`pseudoflow_solver::Solver`] finds the pose that explains most of them. [`gate`] judges,
 //! without any ground truth, whether the new pose should replace the initial one.
+//!
+//! With `stages: joint` the contour of the object in the camera's image and the rough pose count as well, in one cost
+//! ([`pseudoflow_solver::JointSolver`]); with `stages: region` there is no flow at all, and no network is needed.
 
 pub mod gate;
+mod joint;
 mod node;
 
+pub use joint::Stages;
 pub use node::{Judgement, Look, PnpNode, PnpNodeConfig, Refinement};

@@ -1,11 +1,13 @@
+use crate::joint::{Joint, Stages};
 use crate::gate::{Evidence, Features, Gate, GateConfig, GateView, Scale, Stage, StageModel, Verdict};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
-use pseudoflow_msgs::{FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
+use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
-use pseudoflow_solver::{FlowField, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
+use pseudoflow_solver::{FlowField, JointConfig, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
 use rand::Rng;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Settings of the pnp node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -13,7 +15,17 @@ use serde::{Deserialize, Serialize};
 pub struct PnpNodeConfig {
     /// The solver. Pixel thresholds are those of a crop of 256 px and scale with the crop.
     pub solver: PnpConfig,
-    /// When a refined pose replaces the initial one; `null` accepts every solution.
+    /// What poses are solved from. `region` and `joint` need `objects` and the `frame` port, `region` needs neither `views`
+    /// nor `flow` but `initial_poses`.
+    pub stages: Stages,
+    /// Folder of the object set (BOP `models/`), for its contours.
+    pub objects: Option<PathBuf>,
+    /// Folder where contour models are kept for the next start; without it one in the system's temporary folder.
+    pub contours: Option<PathBuf>,
+    /// The joint solver of `region` and `joint`.
+    pub joint: JointConfig,
+    /// When a pose refined by flow replaces the initial one (with `region` and `joint` the rough pose is a prior, and the
+    /// result always stands); `null` accepts every solution.
     pub gate: Option<GateConfig>,
     /// Smallest agreement of flow and picture with a pose for the object to count as seen there, -1 to 3: inlier ratio,
     /// correlation of the rendering with the crop and contrast across its contour. Below it the status is `NotSeen`.
@@ -24,7 +36,16 @@ pub struct PnpNodeConfig {
 
 impl Default for PnpNodeConfig {
     fn default() -> Self {
-        Self { solver: PnpConfig::default(), gate: Some(GateConfig::default()), min_seen: MIN_SEEN, first_frame: 0 }
+        Self {
+            solver: PnpConfig::default(),
+            stages: Stages::default(),
+            objects: None,
+            contours: None,
+            joint: JointConfig::default(),
+            gate: Some(GateConfig::default()),
+            min_seen: MIN_SEEN,
+            first_frame: 0,
+        }
     }
 }
 
@@ -39,6 +60,7 @@ pub struct PnpNode {
     buffer: PixelBuffer,
     gate: Gate,
     model: StageModel,
+    joint: Option<Joint>,
 }
 
 /// What became of one instance (or one hypothesis of it).
@@ -70,9 +92,9 @@ pub struct Refinement {
 }
 
 /// The planes of one view.
-struct ViewPlanes<'a> {
-    view: &'a ReferenceView,
-    field: FlowField<'a>,
+pub(crate) struct ViewPlanes<'a> {
+    pub(crate) view: &'a ReferenceView,
+    pub(crate) field: FlowField<'a>,
     reference_rgb: &'a [u8],
     real_rgb: &'a [u8],
 }
@@ -159,6 +181,10 @@ impl PnpNode {
     /// # Errors
     /// When views and flow are missing or do not belong together.
     pub fn looks(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<Vec<Look>, NodeError> {
+        if let Some(joint) = &mut self.joint {
+            let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
+            return Ok(best_of_each(joint.looks(inputs, rng.random())?));
+        }
         let views = read::<ReferenceViews<'static>>(inputs, "views")?;
         let flow = read::<FlowFields<'static>>(inputs, "flow")?;
         if flow.header.fields as usize != views.views.len() + views.partners.len()
@@ -267,7 +293,7 @@ fn message_status(status: PnpStatus) -> PoseStatus {
 }
 
 /// The initial pose with what became of its refinement.
-fn kept_pose(initial: &ObjectPose, status: PoseStatus, score: f64) -> ObjectPose {
+pub(crate) fn kept_pose(initial: &ObjectPose, status: PoseStatus, score: f64) -> ObjectPose {
     ObjectPose { status: status as u32, score, ..*initial }
 }
 
@@ -294,7 +320,7 @@ fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
 }
 
 /// View 0 of each instance: the one at the initial pose.
-fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize) -> Result<ViewPlanes<'a>, NodeError> {
+pub(crate) fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize) -> Result<ViewPlanes<'a>, NodeError> {
     let at = instance * views.header.views_per_instance as usize;
     let (size_px, view) = (views.header.size_px as usize, &views.views[at]);
     let area = size_px * size_px;
@@ -320,7 +346,13 @@ impl Node for PnpNode {
     type Config = PnpNodeConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<ReferenceViews<'static>>("views"), PortSpec::required::<FlowFields<'static>>("flow")]
+        // Which of them are needed depends on `stages`; the first frame says what is missing.
+        vec![
+            PortSpec::optional::<ReferenceViews<'static>>("views"),
+            PortSpec::optional::<FlowFields<'static>>("flow"),
+            PortSpec::optional::<CameraFrame<'static>>("frame"),
+            PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
+        ]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -333,22 +365,34 @@ impl Node for PnpNode {
             return Err(format!("`min_seen: {}`: give -1 to 3", config.min_seen).into());
         }
         config.gate.clone().unwrap_or_default().stage_model(Stage::Flow)?;
-        Ok(())
+        Joint::check(config)
     }
 
     fn create(config: PnpNodeConfig, _: &Context) -> Result<Self, NodeError> {
         let model = config.gate.clone().unwrap_or_default().stage_model(Stage::Flow)?;
-        Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new(), model })
+        let joint = Joint::open(&config)?;
+        Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new(), model, joint })
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {
-        Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects())
+        match inputs.bytes("views") {
+            Some(_) => Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects()),
+            None => Some(read::<ObjectPoses<'static>>(inputs, "initial_poses").ok()?.poses.len()),
+        }
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let poses: Vec<ObjectPose> = self.looks(inputs, context)?.into_iter().map(|look| look.pose).collect();
-        let header = read::<ReferenceViews<'static>>(inputs, "views")?.header;
-        let (scene_id, image_id) = (header.scene_id, header.image_id);
+        let (scene_id, image_id) = match inputs.bytes("views") {
+            Some(_) => {
+                let header = read::<ReferenceViews<'static>>(inputs, "views")?.header;
+                (header.scene_id, header.image_id)
+            }
+            None => {
+                let header = read::<ObjectPoses<'static>>(inputs, "initial_poses")?.header;
+                (header.scene_id, header.image_id)
+            }
+        };
         outputs.send("poses", inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, &poses);
         })

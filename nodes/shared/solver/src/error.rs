@@ -32,3 +32,14 @@ pub enum PnpError {
         must: &'static str,
     },
 }
+
+/// What is wrong with the settings of the joint solver.
+#[derive(Debug, thiserror::Error)]
+pub enum JointError {
+    /// Of the flow's part.
+    #[error(transparent)]
+    Pnp(#[from] PnpError),
+    /// Of the contour's part.
+    #[error(transparent)]
+    Contour(#[from] pseudoflow_contour::ContourError),
+}

@@ -1,0 +1,247 @@
+//! Correspondence lines: where along the normal of each contour point the colours change from inside to outside.
+
+use crate::model::ContourPoint;
+use crate::picture::Picture;
+use pseudoflow_geometry::Pose;
+
+/// Segments of a line.
+const SEGMENTS: usize = 19;
+/// Places of the contour on a line that are compared, half a segment off the middles of segments.
+pub(crate) const OFFSETS: usize = 12;
+/// Segments that take part in the likelihood of one place.
+const STEP: usize = 8;
+
+/// The smoothed step: probability that a pixel `x` segments outside of the contour has a colour of the inside.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SmoothStep([f32; STEP]);
+
+impl SmoothStep {
+    /// A sharp step between `1/2 + amplitude` inside and `1/2 - amplitude` outside: SRT3D's global and local uncertainty
+    /// (arXiv 2110.12715, eq. 9) without the slope, which did worse.
+    pub(crate) fn new(amplitude: f32) -> Self {
+        Self(std::array::from_fn(|i| 0.5 - amplitude * (i as f32 - 3.5).signum()))
+    }
+}
+
+/// A contour point as a pose shows it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Line {
+    /// Where it is projected, pixels of the picture.
+    pub(crate) at: [f32; 2],
+    /// Its normal there.
+    pub(crate) normal: [f32; 2],
+    /// Derivative of the point's place along the normal by translation (m) and rotation (rad), as in the solver.
+    pub(crate) jacobian: [f32; 6],
+    /// How far object and background reach, pixels.
+    pub(crate) inside_px: f32,
+    pub(crate) outside_px: f32,
+    /// Where the contour is on the line, outwards, pixels: mean and variance.
+    pub(crate) mean_px: f32,
+    pub(crate) variance_px2: f32,
+    /// Probability of the contour being where the pose says, of all places on the line; 1/12 when nothing is known.
+    pub(crate) here: f32,
+    /// Weight from outside: 0 when the line is not to be used.
+    pub(crate) weight: f32,
+}
+
+/// Camera and pose in single precision.
+struct View {
+    rotation: [[f32; 3]; 3],
+    translation: [f32; 3],
+    focal: [f32; 2],
+    centre: [f32; 2],
+}
+
+impl View {
+    fn new(pose: &Pose, picture: &Picture) -> Self {
+        let r = pose.rotation.to_rotation_matrix();
+        let t = pose.translation.vector;
+        Self {
+            rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| r[(i, j)] as f32)),
+            translation: [t.x as f32, t.y as f32, t.z as f32],
+            focal: picture.focal,
+            centre: picture.centre,
+        }
+    }
+
+    fn turn(&self, v: &[f32; 3]) -> [f32; 3] {
+        self.rotation.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+    }
+
+    fn line(&self, point: &ContourPoint) -> Option<Line> {
+        let q = self.turn(&point.position_m);
+        let p: [f32; 3] = std::array::from_fn(|i| q[i] + self.translation[i]);
+        if p[2] < 1e-3 {
+            return None;
+        }
+        let inverse = 1.0 / p[2];
+        let (x, y) = (p[0] * inverse, p[1] * inverse);
+        let n = self.turn(&point.normal);
+        // The image of the direction, not of its first two numbers: perspective bends it towards the middle.
+        let (nx, ny) = (self.focal[0] * (n[0] - x * n[2]), self.focal[1] * (n[1] - y * n[2]));
+        let length = nx.hypot(ny);
+        if length < 1e-6 {
+            return None;
+        }
+        let normal = [nx / length, ny / length];
+        let a = [normal[0] * self.focal[0] * inverse, normal[1] * self.focal[1] * inverse];
+        let a = [a[0], a[1], -(a[0] * x + a[1] * y)];
+        let px_per_m = self.focal[0] * inverse;
+        Some(Line {
+            at: [self.focal[0] * x + self.centre[0], self.focal[1] * y + self.centre[1]],
+            normal,
+            jacobian: [
+                a[0],
+                a[1],
+                a[2],
+                q[1] * a[2] - q[2] * a[1],
+                q[2] * a[0] - q[0] * a[2],
+                q[0] * a[1] - q[1] * a[0],
+            ],
+            inside_px: point.inside_m * px_per_m,
+            outside_px: point.outside_m * px_per_m,
+            mean_px: 0.0,
+            variance_px2: 0.0,
+            here: 0.0,
+            weight: 1.0,
+        })
+    }
+}
+
+/// The lines of a view: those whose middle is in the picture, or `everywhere`.
+pub(crate) fn project(
+    points: &[ContourPoint],
+    pose: &Pose,
+    picture: &Picture,
+    everywhere: bool,
+    lines: &mut Vec<Line>,
+) {
+    let view = View::new(pose, picture);
+    lines.clear();
+    let within = |l: &Line| everywhere || picture.shows(l.at);
+    lines.extend(points.iter().filter_map(|p| view.line(p)).filter(within));
+}
+
+/// Bilinear sample of a plane; 0 outside.
+pub(crate) fn sample(plane: &[f32], size_px: usize, x: f32, y: f32) -> f32 {
+    let limit = size_px as f32 - 1.001;
+    if !(x >= 0.0 && y >= 0.0 && x < limit && y < limit) {
+        return 0.0;
+    }
+    let (x0, y0) = (x as usize, y as usize);
+    let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+    let i = y0 * size_px + x0;
+    let (top, bottom) = (plane[i] + fx * (plane[i + 1] - plane[i]), {
+        let j = i + size_px;
+        plane[j] + fx * (plane[j + 1] - plane[j])
+    });
+    top + fy * (bottom - top)
+}
+
+/// How lines are read.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reading {
+    /// Length of a segment, pixels of the picture.
+    pub(crate) scale_px: f32,
+    pub(crate) step: SmoothStep,
+    /// Shortest stretch of object and of background, segments.
+    pub(crate) shortest: f32,
+    /// Share of a pixel's evidence that counts.
+    pub(crate) evidence: f32,
+}
+
+/// Finds the contour on each line; lines with too short a stretch of object or background get no weight.
+pub(crate) fn measure(lines: &mut [Line], log_odds: &[f32], size_px: usize, reading: &Reading) {
+    let shortest_px = reading.shortest * reading.scale_px;
+    for line in lines {
+        if line.weight == 0.0 || line.inside_px < shortest_px || line.outside_px < shortest_px {
+            line.weight = 0.0;
+            continue;
+        }
+        let inside = segments(line, log_odds, size_px, reading);
+        let likelihood = likelihoods(&inside, &reading.step);
+        describe(line, &likelihood, reading.scale_px);
+    }
+}
+
+/// Probability of each segment to be of the object's colours.
+fn segments(line: &Line, log_odds: &[f32], size_px: usize, reading: &Reading) -> [f32; SEGMENTS] {
+    let samples = reading.scale_px.round().max(1.0) as usize;
+    let step_px = reading.scale_px / samples as f32;
+    // A sample stands for `step_px` pixels.
+    let weight = step_px * reading.evidence;
+    let first = -0.5 * SEGMENTS as f32 * reading.scale_px + 0.5 * step_px;
+    let mut out = [0.0; SEGMENTS];
+    for (k, segment) in out.iter_mut().enumerate() {
+        let mut sum = 0.0;
+        for s in 0..samples {
+            let r = first + (k * samples + s) as f32 * step_px;
+            sum += sample(log_odds, size_px, line.at[0] + r * line.normal[0], line.at[1] + r * line.normal[1]);
+        }
+        *segment = 1.0 / (1.0 + (-weight * sum).exp());
+    }
+    out
+}
+
+/// How well each place of the contour explains the segments (SRT3D, eq. 8).
+fn likelihoods(inside: &[f32; SEGMENTS], step: &SmoothStep) -> [f32; OFFSETS] {
+    std::array::from_fn(|j| {
+        let window = &inside[j..j + STEP];
+        window.iter().zip(&step.0).map(|(p, h)| p * h + (1.0 - p) * (1.0 - h)).product()
+    })
+}
+
+/// Mean and variance of the places, in pixels.
+fn describe(line: &mut Line, likelihood: &[f32; OFFSETS], scale_px: f32) {
+    let total: f32 = likelihood.iter().sum();
+    let place = |j: usize| j as f32 - 0.5 * (OFFSETS as f32 - 1.0);
+    let mean = (0..OFFSETS).map(|j| likelihood[j] * place(j)).sum::<f32>() / total;
+    let variance = (0..OFFSETS).map(|j| likelihood[j] * (place(j) - mean).powi(2)).sum::<f32>() / total;
+    line.mean_px = mean * scale_px;
+    line.variance_px2 = variance * scale_px * scale_px;
+    line.here = 0.5 * (likelihood[OFFSETS / 2 - 1] + likelihood[OFFSETS / 2]) / total;
+}
+
+/// Samples on either side of the middle of an edge profile.
+const HALF: i32 = 6;
+/// Of these on either side, how many may lie in the blur of the edge.
+const BLURRED: i32 = 2;
+
+/// Finds the edge on each line to a fraction of a pixel: the mean colours of either side are known a few pixels off, and what lies
+/// between them is a mixture whose shares say how far the inside reaches (moment-preserving edge, Tabatabai and Mitchell 1984).
+pub(crate) fn measure_edges(lines: &mut [Line], picture: &Picture, noise: f32) {
+    let h = 1.0 / picture.independence.max(1e-3);
+    for line in lines {
+        let reach = HALF as f32 * h;
+        if line.weight == 0.0 || line.inside_px < reach || line.outside_px < reach {
+            line.weight = 0.0;
+            continue;
+        }
+        let end = |sign: f32| [0, 1].map(|a| line.at[a] + sign * reach * line.normal[a]);
+        if !(picture.shows(end(1.0)) && picture.shows(end(-1.0))) {
+            line.weight = 0.0;
+            continue;
+        }
+        let mut colours = [[0.0_f32; 3]; 2 * HALF as usize + 1];
+        for (i, colour) in colours.iter_mut().enumerate() {
+            let r = (i as i32 - HALF) as f32 * h;
+            let (x, y) = (line.at[0] + r * line.normal[0], line.at[1] + r * line.normal[1]);
+            *colour = [0, 1, 2].map(|c| sample(&picture.channels[c], picture.size_px, x, y));
+        }
+        let far = (HALF - BLURRED) as usize;
+        let mean = |part: &[[f32; 3]]| -> [f32; 3] {
+            std::array::from_fn(|c| part.iter().map(|v| v[c]).sum::<f32>() / part.len() as f32)
+        };
+        let (inside, outside) = (mean(&colours[..far]), mean(&colours[colours.len() - far..]));
+        let e: [f32; 3] = std::array::from_fn(|c| inside[c] - outside[c]);
+        let contrast2 = e.iter().map(|v| v * v).sum::<f32>();
+        let share = |v: &[f32; 3]| (0..3).map(|c| (v[c] - outside[c]) * e[c]).sum::<f32>() / contrast2.max(1.0);
+        let blurred: f32 = colours[far..colours.len() - far].iter().map(share).sum();
+        let spread = colours[..far].iter().map(|v| (share(v) - 1.0).powi(2)).sum::<f32>()
+            + colours[colours.len() - far..].iter().map(|v| share(v).powi(2)).sum::<f32>();
+        let variance = spread / (2 * far - 2) as f32 + noise * noise / contrast2.max(1.0);
+        let width = (2 * BLURRED + 1) as f32;
+        line.mean_px = h * (blurred - 0.5 * width).clamp(-0.5 * width, 0.5 * width);
+        line.variance_px2 = h * h * width * variance;
+    }
+}
