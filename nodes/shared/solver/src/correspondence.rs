@@ -81,9 +81,9 @@ impl FlowField<'_> {
     fn is_usable(&self, i: usize) -> bool {
         let depth = self.depth_m[i];
         let [dx, dy] = [self.flow_px[2 * i], self.flow_px[2 * i + 1]];
-        let sure = self.certainty.is_none_or(|[seen, right]| {
-            f32::from(seen[i]) * f32::from(right[i]) >= LEAST_CERTAINTY * 255.0 * 255.0
-        });
+        let sure = self
+            .certainty
+            .is_none_or(|[seen, right]| f32::from(seen[i]) * f32::from(right[i]) >= LEAST_CERTAINTY * 255.0 * 255.0);
         sure && self.mask[i] != 0 && depth > 0.0 && depth.is_finite() && dx.is_finite() && dy.is_finite()
     }
 }
