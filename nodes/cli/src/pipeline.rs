@@ -16,8 +16,8 @@ use std::time::{Duration, Instant};
 /// How to refine.
 #[derive(Debug, Clone)]
 pub(crate) struct PipelineConfig {
-    pub(crate) renderer: RendererConfig,
-    pub(crate) flow: FlowConfig,
+    /// What renders and what computes flow; `None` for poses from contours alone.
+    pub(crate) views: Option<(RendererConfig, FlowConfig)>,
     pub(crate) pnp: PnpNodeConfig,
     pub(crate) passes: u32,
     pub(crate) seed: u64,
@@ -32,8 +32,7 @@ pub(crate) struct Frame<'a> {
 
 /// Renderer, flow and pnp of one process.
 pub(crate) struct Pipeline {
-    renderer: RendererNode,
-    flow: FlowNode,
+    views: Option<(RendererNode, FlowNode)>,
     pnp: PnpNode,
     passes: u32,
     context: Context,
@@ -57,6 +56,15 @@ pub(crate) struct Judged {
     pub(crate) crop: [f64; 3],
 }
 
+fn open_views(renderer: RendererConfig, flow: FlowConfig, context: &Context) -> Result<(RendererNode, FlowNode)> {
+    RendererNode::check(&renderer).map_err(boxed).context("renderer")?;
+    FlowNode::check(&flow).map_err(boxed).context("flow")?;
+    Ok((
+        RendererNode::create(renderer, context).map_err(boxed).context("renderer")?,
+        FlowNode::create(flow, context).map_err(boxed).context("flow")?,
+    ))
+}
+
 fn boxed(error: pseudoflow_runtime::NodeError) -> anyhow::Error {
     anyhow!("{error}")
 }
@@ -64,12 +72,10 @@ fn boxed(error: pseudoflow_runtime::NodeError) -> anyhow::Error {
 impl Pipeline {
     pub(crate) fn open(config: PipelineConfig) -> Result<Self> {
         let context = context("eval", config.seed);
-        RendererNode::check(&config.renderer).map_err(boxed).context("renderer")?;
-        FlowNode::check(&config.flow).map_err(boxed).context("flow")?;
         PnpNode::check(&config.pnp).map_err(boxed).context("pnp")?;
+        let views = config.views.map(|(renderer, flow)| open_views(renderer, flow, &context)).transpose()?;
         Ok(Self {
-            renderer: RendererNode::create(config.renderer, &context).map_err(boxed).context("renderer")?,
-            flow: FlowNode::create(config.flow, &context).map_err(boxed).context("flow")?,
+            views,
             pnp: PnpNode::create(config.pnp, &context).map_err(boxed).context("pnp")?,
             passes: config.passes,
             context,
@@ -91,8 +97,9 @@ impl Pipeline {
     /// Refines a frame (`frame` and `initial_poses` are among the messages) and judges each pose without truth.
     pub(crate) fn judge(&mut self, messages: &InMemory) -> Result<Vec<Judged>> {
         let mut messages = InMemory { key: messages.key, messages: messages.messages.clone() };
-        self.renderer.step(&mut messages, &self.context).context("node renderer")?;
-        self.flow.step(&mut messages, &self.context).context("node flow")?;
+        let (renderer, flow) = self.views.as_mut().context("a pipeline without flow cannot judge by it")?;
+        renderer.step(&mut messages, &self.context).context("node renderer")?;
+        flow.step(&mut messages, &self.context).context("node flow")?;
         let bytes = |port: &str| {
             let found = messages.messages.iter().find(|(name, _)| name == port);
             found.map(|(_, bytes)| bytes).with_context(|| format!("no node sent `{port}`"))
@@ -114,7 +121,10 @@ impl Pipeline {
         let mut messages = InMemory::new(FrameKey { index: frame.index, stamp_ns: 0 });
         messages.messages.push(("frame".into(), frame_message(frame)));
         messages.messages.push(("initial_poses".into(), poses_message(frame, initial)));
-        let steps: [(&str, &mut dyn Step); 2] = [("renderer", &mut self.renderer), ("flow", &mut self.flow)];
+        let steps: Vec<(&str, &mut dyn Step)> = match &mut self.views {
+            Some((renderer, flow)) => vec![("renderer", renderer), ("flow", flow)],
+            None => Vec::new(),
+        };
         for ((name, step), time) in steps.into_iter().zip(stages.iter_mut()) {
             let start = Instant::now();
             step.step(&mut messages, &self.context).with_context(|| format!("node {name}"))?;

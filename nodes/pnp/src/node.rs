@@ -1,7 +1,9 @@
-use crate::joint::{Joint, Stages};
 use crate::gate::{Evidence, Features, Gate, GateConfig, GateView, Scale, Stage, StageModel, Verdict};
+use crate::joint::{Joint, Stages};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
-use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews};
+use pseudoflow_msgs::{
+    CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews,
+};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use pseudoflow_solver::{FlowField, JointConfig, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
 use rand::Rng;
@@ -320,7 +322,11 @@ fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
 }
 
 /// View 0 of each instance: the one at the initial pose.
-pub(crate) fn planes<'a>(views: &ReferenceViews<'a>, flow: &FlowFields<'a>, instance: usize) -> Result<ViewPlanes<'a>, NodeError> {
+pub(crate) fn planes<'a>(
+    views: &ReferenceViews<'a>,
+    flow: &FlowFields<'a>,
+    instance: usize,
+) -> Result<ViewPlanes<'a>, NodeError> {
     let at = instance * views.header.views_per_instance as usize;
     let (size_px, view) = (views.header.size_px as usize, &views.views[at]);
     let area = size_px * size_px;

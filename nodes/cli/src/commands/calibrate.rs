@@ -97,17 +97,19 @@ fn make(args: &Args) -> Result<Vec<Sample>> {
 
 fn pipeline(args: &Args, objects: &Path, size_px: u32) -> Result<Pipeline> {
     Pipeline::open(PipelineConfig {
-        renderer: RendererConfig::new(objects.to_owned(), size_px),
-        flow: FlowConfig {
-            model: args.weights.clone(),
-            network: super::export::network(&args.network)?,
-            size_px,
-            iterations: args.iterations,
-            max_batch: 16,
-            device: ComputeDevice::default(),
-            engine: EngineConfig::default(),
-            lockstep: None,
-        },
+        views: Some((
+            RendererConfig::new(objects.to_owned(), size_px),
+            FlowConfig {
+                model: args.weights.clone(),
+                network: super::export::network(&args.network)?,
+                size_px,
+                iterations: args.iterations,
+                max_batch: 16,
+                device: ComputeDevice::default(),
+                engine: EngineConfig::default(),
+                lockstep: None,
+            },
+        )),
         // Without a gate every solution comes out, the bad ones too.
         pnp: PnpNodeConfig { gate: None, ..PnpNodeConfig::default() },
         passes: 1,

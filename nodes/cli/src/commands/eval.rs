@@ -16,7 +16,7 @@ use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
 use pseudoflow_network::ComputeDevice;
 use pseudoflow_pnp::gate::GateConfig;
-use pseudoflow_pnp::{Look, PnpNodeConfig, Refinement};
+use pseudoflow_pnp::{Look, PnpNodeConfig, Refinement, Stages};
 use pseudoflow_renderer::RendererConfig;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -83,6 +83,9 @@ pub(crate) struct Args {
     /// Smallest probability of being better for a refined pose to be accepted, 0..1.
     #[arg(long, conflicts_with = "no_gate")]
     min_better: Option<f64>,
+    /// What poses are solved from: flow, region (the contour alone; needs no weights) or joint (flow, contour and rough pose).
+    #[arg(long, default_value = "flow")]
+    stages: String,
     /// Accept every refined pose, also those that the gate would refuse.
     #[arg(long)]
     no_gate: bool,
@@ -136,13 +139,16 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
             out: folder.join("compare.html"),
         });
     }
-    if args.weights.is_some() || initializer(args).is_some() {
+    let stages = stages(args)?;
+    if args.weights.is_some() || initializer(args).is_some() || stages == Stages::Region {
         check_name(args)?;
     }
     let dataset = dataset(args)?;
     let sets = match (&args.weights, initializer(args)) {
-        (Some(weights), _) => refine_dataset(args, weights, &dataset)?,
-        (None, Some(initializer)) => {
+        (weights, _) if weights.is_some() || stages == Stages::Region => {
+            refine_dataset(args, weights.as_deref(), &dataset)?
+        }
+        (_, Some(initializer)) => {
             let estimates = first_of_each(&find_all(args, initializer, &dataset)?);
             let part = args.csv().with_extension("csv.part");
             let mut writer = ResultsWriter::create(&part)?;
@@ -154,7 +160,7 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
                 .with_context(|| format!("{}: cannot be written", args.csv().display()))?;
             vec![NamedEstimates::new("init", estimates)]
         }
-        (None, None) => {
+        (_, None) => {
             let estimates = read_results(args.csv(), Some(&dataset.known))?;
             vec![NamedEstimates::new("estimate", estimates)]
         }
@@ -202,7 +208,7 @@ fn check_name(args: &Args) -> Result<()> {
 }
 
 /// Refines every image; the CSV grows image by image beside its place and is renamed when whole.
-fn refine_dataset(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
+fn refine_dataset(args: &Args, weights: Option<&Path>, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
     let initial = match &args.init {
         Some(path) if initializer(args).is_some() => find_all(args, path, dataset)?,
         Some(path) => numbered(read_results(path, Some(&dataset.known))?),
@@ -255,7 +261,7 @@ fn finder_engine(args: &Args) -> Result<EngineConfig> {
 }
 
 /// A pipeline for each size, with the passes that it makes.
-fn passes(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Pipeline>> {
+fn passes(args: &Args, weights: Option<&Path>, dataset: &EvalDataset) -> Result<Vec<Pipeline>> {
     let (sizes, passes) = (args.size.len() as u32, args.passes);
     ensure!(sizes <= passes, "`--size` names {sizes} sizes for `--passes {passes}`: give a pass to each");
     let open = |(i, size): (usize, &u32)| {
@@ -267,29 +273,46 @@ fn passes(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Pipe
 
 fn pipeline_config(
     args: &Args,
-    weights: &Path,
+    weights: Option<&Path>,
     dataset: &EvalDataset,
     (size_px, passes): (u32, u32),
 ) -> Result<PipelineConfig> {
     let default = GateConfig::default();
     let min_better = args.min_better.unwrap_or(default.min_better);
     let gate = GateConfig { model: args.gate.clone(), min_better, ..default };
-    let pnp = PnpNodeConfig { gate: (!args.no_gate).then_some(gate), ..PnpNodeConfig::default() };
-    Ok(PipelineConfig {
-        renderer: RendererConfig::new(args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone()), size_px),
-        flow: FlowConfig {
-            model: weights.to_owned(),
-            network: super::export::network(&args.network)?,
-            size_px,
-            iterations: args.iterations,
-            max_batch: 16,
-            device: args.device,
-            engine: engine(args)?,
-            lockstep: None,
-        },
-        pnp,
-        passes,
-        seed: args.seed,
+    let stages = stages(args)?;
+    let objects = args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone());
+    let pnp = PnpNodeConfig {
+        gate: (!args.no_gate).then_some(gate),
+        stages,
+        objects: Some(objects.clone()),
+        ..PnpNodeConfig::default()
+    };
+    let views = match weights.filter(|_| stages != Stages::Region) {
+        Some(weights) => {
+            let flow = FlowConfig {
+                model: weights.to_owned(),
+                network: super::export::network(&args.network)?,
+                size_px,
+                iterations: args.iterations,
+                max_batch: 16,
+                device: args.device,
+                engine: engine(args)?,
+                lockstep: None,
+            };
+            Some((RendererConfig::new(objects, size_px), flow))
+        }
+        None => None,
+    };
+    Ok(PipelineConfig { views, pnp, passes, seed: args.seed })
+}
+
+fn stages(args: &Args) -> Result<Stages> {
+    Ok(match args.stages.as_str() {
+        "flow" => Stages::Flow,
+        "region" => Stages::Region,
+        "joint" => Stages::Joint,
+        other => bail!("`--stages {other}`: write flow, region or joint"),
     })
 }
 

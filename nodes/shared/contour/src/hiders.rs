@@ -100,3 +100,41 @@ impl Outline {
         sum * self.spacing_px > INSIDE * std::f32::consts::TAU
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{ModelSettings, lines};
+    use nalgebra::Vector3;
+    use pseudoflow_imaging::shapes::sphere;
+
+    #[test]
+    fn what_a_nearer_object_covers_is_not_read() {
+        let settings = ModelSettings { divisions: 1, ..ModelSettings::default() };
+        let model = ContourModel::new(&sphere(0.05, 24, [9; 3]).unwrap(), &settings).unwrap();
+        let picture =
+            Picture { size_px: 200, focal: [600.0; 2], centre: [100.0; 2], high: [199.0; 2], ..Picture::default() };
+        let pose = Pose::translation(0.0, 0.0, 0.6);
+        let hidden = |x: f64, z: f64| {
+            let other = Hider { model: &model, camera_from_object: Pose::from(Vector3::new(x, 0.0, z)) };
+            let mut hiders = Hiders::default();
+            hiders.fill(&[other], &model, &pose, &picture);
+            let mut all = Vec::new();
+            lines::project(model.view(&pose), &pose, &picture, false, &mut all);
+            hiders.apply(&mut all);
+            let centre_x = 600.0 * x / z + 100.0;
+            let radius = 600.0 * 0.05 / z;
+            for line in &all {
+                let away = (f64::from(line.at[0]) - centre_x).hypot(f64::from(line.at[1]) - 100.0);
+                assert!(
+                    (away - radius).abs() < 3.0 || (line.weight == 0.0) == (z < 0.6 && away < radius),
+                    "{away} {radius}"
+                );
+            }
+            all.iter().filter(|l| l.weight == 0.0).count()
+        };
+        assert!((20..100).contains(&hidden(0.04, 0.5)));
+        assert_eq!(hidden(0.04, 0.7), 0, "what is behind hides nothing");
+        assert_eq!(hidden(0.3, 0.5), 0, "what is beside hides nothing");
+    }
+}

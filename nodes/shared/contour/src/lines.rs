@@ -245,3 +245,91 @@ pub(crate) fn measure_edges(lines: &mut [Line], picture: &Picture, noise: f32) {
         line.variance_px2 = h * h * width * variance;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::prior::retract;
+    use nalgebra::{Vector3, Vector6};
+
+    fn picture() -> Picture {
+        Picture { focal: [300.0, 310.0], centre: [60.0, 62.0], high: [127.0; 2], ..Picture::default() }
+    }
+
+    #[test]
+    fn the_jacobian_is_the_finite_difference() {
+        let point =
+            ContourPoint { position_m: [0.03, -0.02, 0.04], normal: [0.6, 0.64, 0.48], inside_m: 1.0, outside_m: 1.0 };
+        let pose = Pose::new(Vector3::new(0.02, -0.01, 0.6), Vector3::new(0.3, -0.5, 0.2));
+        let lines = |pose: &Pose| {
+            let mut lines = Vec::new();
+            project(&[point], pose, &picture(), true, &mut lines);
+            lines[0]
+        };
+        let line = lines(&pose);
+        for k in 0..6 {
+            let mut tangent = Vector6::zeros();
+            tangent[k] = 1e-3;
+            let (ahead, behind) = (lines(&retract(&pose, &tangent)).at, lines(&retract(&pose, &-tangent)).at);
+            let slope = (0..2).map(|a| (ahead[a] - behind[a]) * line.normal[a]).sum::<f32>() / 2e-3;
+            assert!((slope - line.jacobian[k]).abs() < 0.005 * slope.abs() + 0.05, "{k}: {slope} {}", line.jacobian[k]);
+        }
+    }
+
+    /// Picture whose left part, up to `edge`, is the object: log odds and colours, blurred by a box of 3 pixels.
+    fn step_at(edge: f32) -> (Vec<f32>, Picture) {
+        let share = |x: usize| (0..30).filter(|i| x as f32 - 1.5 + 0.1 * *i as f32 + 0.05 < edge).count() as f32 / 30.0;
+        let odds = (0..128 * 128).map(|i| 6.0 * share(i % 128) - 3.0).collect();
+        let colours: Vec<f32> = (0..128 * 128).map(|i| 40.0 + 120.0 * share(i % 128)).collect();
+        let channels = [colours.clone(), colours.clone(), colours];
+        (odds, Picture { size_px: 128, channels, independence: 1.0, ..picture() })
+    }
+
+    fn line_at(x: f32) -> Line {
+        Line {
+            at: [x, 60.0],
+            normal: [1.0, 0.0],
+            jacobian: [0.0; 6],
+            inside_px: 50.0,
+            outside_px: 50.0,
+            mean_px: 0.0,
+            variance_px2: 0.0,
+            here: 0.0,
+            weight: 1.0,
+        }
+    }
+
+    #[test]
+    fn lines_find_the_step_at_every_scale() {
+        let (odds, picture) = step_at(64.0);
+        for scale_px in [1.0_f32, 2.0, 5.0] {
+            for off in [-2.0, 0.0, 1.5_f32] {
+                let mut lines = [line_at(64.0 - off * scale_px)];
+                let step = SmoothStep::new(0.36);
+                let reading = Reading { scale_px, step, shortest: 3.0, evidence: 1.0 };
+                measure(&mut lines, &odds, picture.size_px, &reading);
+                assert!(
+                    (lines[0].mean_px - off * scale_px).abs() < 0.4 * scale_px,
+                    "{scale_px} {off}: {}",
+                    lines[0].mean_px
+                );
+            }
+        }
+        let mut thin = [Line { inside_px: 5.0, ..line_at(64.0) }];
+        let reading = Reading { scale_px: 2.0, step: SmoothStep::new(0.36), shortest: 3.0, evidence: 1.0 };
+        measure(&mut thin, &odds, picture.size_px, &reading);
+        assert_eq!(thin[0].weight, 0.0);
+    }
+
+    #[test]
+    fn edges_are_placed_to_a_fraction_of_a_pixel_without_bias() {
+        for edge in [63.8_f32, 64.0, 64.3, 64.5] {
+            let (_, picture) = step_at(edge);
+            for at in [63.5, 64.0, 65.0_f32] {
+                let mut lines = [line_at(at)];
+                measure_edges(&mut lines, &picture, 2.0);
+                assert!((at + lines[0].mean_px - edge).abs() < 0.06, "{edge} {at}: {}", lines[0].mean_px);
+            }
+        }
+    }
+}

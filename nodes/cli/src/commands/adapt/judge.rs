@@ -111,17 +111,19 @@ pub(super) fn context(args: &Args) -> Context {
 
 pub(super) fn pipeline(args: &Args, weights: &Path) -> Result<Pipeline> {
     Pipeline::open(PipelineConfig {
-        renderer: RendererConfig::new(args.objects.clone(), args.size),
-        flow: FlowConfig {
-            model: weights.to_owned(),
-            network: super::super::export::network(&args.network)?,
-            size_px: args.size,
-            iterations: Some(12),
-            max_batch: 16,
-            device: args.device,
-            engine: EngineConfig::default(),
-            lockstep: None,
-        },
+        views: Some((
+            RendererConfig::new(args.objects.clone(), args.size),
+            FlowConfig {
+                model: weights.to_owned(),
+                network: super::super::export::network(&args.network)?,
+                size_px: args.size,
+                iterations: Some(12),
+                max_batch: 16,
+                device: args.device,
+                engine: EngineConfig::default(),
+                lockstep: None,
+            },
+        )),
         pnp: PnpNodeConfig::default(),
         passes: 1,
         seed: args.seed,
