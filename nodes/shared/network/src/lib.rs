@@ -5,6 +5,7 @@ mod detector;
 mod error;
 mod kernels;
 mod loss;
+mod memory;
 mod model;
 mod onnx;
 pub mod ops;

@@ -3,6 +3,7 @@
 use crate::config::NetworkConfig;
 use crate::error::{NetworkError, Result, io_error};
 use crate::loss::{FlowBatch, end_point_error, sequence_loss, values};
+use crate::memory::keep_freed;
 use crate::model::{Model, gradients};
 use crate::optim::{AdamWConfig, Moments, OneCycle, adamw, clip_scale, global_norm};
 use crate::weights::{NamedTensor, Weights, parse_with, serialize_with, write_atomically};
@@ -75,6 +76,7 @@ impl<M: Model> TrainState<M> {
     /// # Errors
     /// The weights belong to another architecture, or the configuration is out of range.
     pub fn new(network: M, config: TrainConfig, mut weights: Weights, device: &Device) -> Result<Self> {
+        keep_freed();
         network.check()?;
         network.build(&weights, device)?;
         weights.info.network = network.name().to_owned();
@@ -181,6 +183,7 @@ impl<M: Model> TrainState<M> {
     /// # Errors
     /// As [`Self::load`]; other weights are missing.
     pub fn load_with(path: &Path, network: M, device: &Device, others: &[&str]) -> Result<(Self, Vec<Weights>)> {
+        keep_freed();
         let bytes = std::fs::read(path).map_err(io_error(path))?;
         let (info, mut tensors, metadata) = parse_with(&bytes, path)?;
         let problem = |text: String| NetworkError::Checkpoint { path: path.into(), problem: text };
