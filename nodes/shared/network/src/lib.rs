@@ -8,6 +8,7 @@ mod flow_network;
 mod guard;
 mod kernels;
 mod loss;
+mod memory;
 mod model;
 mod onnx;
 pub mod ops;

@@ -4,6 +4,7 @@ use crate::config::NetworkConfig;
 use crate::error::{NetworkError, Result, io_error};
 use crate::guard::guarded_on;
 use crate::loss::{FlowBatch, device_end_point_error, end_point_error, sequence_loss, values};
+use crate::memory::keep_freed;
 use crate::model::{ByName, Model, gradients_with};
 use crate::optim::{AdamWConfig, Moments, OneCycle, Schedule, adamw, clip_scale, global_norm};
 use crate::weights::{NamedTensor, Weights, parse_with, serialize_with, write_atomically};
@@ -89,6 +90,7 @@ impl<M: Model> TrainState<M> {
     /// # Errors
     /// The weights belong to another architecture, or the configuration is out of range.
     pub fn new(network: M, config: TrainConfig, mut weights: Weights, device: &Device) -> Result<Self> {
+        keep_freed();
         network.check()?;
         network.build(&weights, device)?;
         weights.info.network = network.name().to_owned();
@@ -214,6 +216,7 @@ impl<M: Model> TrainState<M> {
     /// # Errors
     /// As [`Self::load`]; other weights are missing.
     pub fn load_with(path: &Path, network: M, device: &Device, others: &[&str]) -> Result<(Self, Vec<Weights>)> {
+        keep_freed();
         let bytes = std::fs::read(path).map_err(io_error(path))?;
         let (info, mut tensors, metadata) = parse_with(&bytes, path)?;
         let problem = |text: String| NetworkError::Checkpoint { path: path.into(), problem: text };
