@@ -105,8 +105,7 @@ pub(crate) fn gradients_with<M: Model>(
 ) -> Result<(ByName, Vec<Vec<f32>>)> {
     let found: Vec<_> = M::parameters(network).iter().map(|p| (p, p.gradient(grads))).collect();
     let count = others.len();
-    let mut others =
-        read_together(others.into_iter().map(Tensor::inner).chain(found.iter().filter_map(|(_, grad)| grad.clone())))?;
+    let mut others = read_together(others.into_iter().chain(found.iter().filter_map(|(_, grad)| grad.clone())))?;
     let mut read = others.split_off(count).into_iter();
     let by_name = found.iter().map(|(parameter, grad)| {
         let values = grad.as_ref().and_then(|_| read.next());
@@ -120,7 +119,8 @@ pub(crate) fn gradients_with<M: Model>(
 /// # Errors
 /// The device failed.
 pub(crate) fn read_together<const D: usize>(tensors: impl IntoIterator<Item = Tensor<D>>) -> Result<Vec<Vec<f32>>> {
-    let tensors: Vec<Tensor<D>> = tensors.into_iter().collect();
+    // Gradients are plain, what the loss was made of is not: a transfer takes one kind.
+    let tensors: Vec<Tensor<D>> = tensors.into_iter().map(Tensor::inner).collect();
     let device = tensors.first().map(|t| format!("{:?}", t.device())).unwrap_or_default();
     let read = tensors.into_iter().fold(Transaction::default(), Transaction::register);
     let data = read.try_execute().map_err(|e| NetworkError::DeviceFailed { device, cause: e.to_string() })?;
