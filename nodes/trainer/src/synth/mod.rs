@@ -43,12 +43,12 @@ use picture::{Picture, samples_alone};
 use pose::{Placement, Stand};
 use pseudoflow_geometry::{Crop, Intrinsics, Pose};
 use pseudoflow_imaging::raster::{
-    Background, Headlight, Item, Rendering, Scene, Scratch, normals_from_depth, render_scene,
+    Background, Headlight, Item, Rendering, Scene, Scratch, Shader, normals_from_depth, render_scene,
 };
 use pseudoflow_imaging::{BACKGROUND_GREY, Object, RgbImage, resample};
 use random::stream;
 use rayon::prelude::*;
-use recolour::Recolour;
+use recolour::{Plain, Recolour};
 use scene::{Stock, SyntheticScene};
 use sensor::{Sensor, mean_light};
 use shapes::ShapeBank;
@@ -245,19 +245,10 @@ impl View<'_> {
         if (label.visible_px() as f64) < least {
             return None;
         }
-        if let Some(change) = Recolour::draw(rng, &config.look) {
-            let k = placement.crop.intrinsics(&placement.intrinsics);
-            let headlight = Headlight::default();
-            let shade = |i: usize| {
-                let ray = [
-                    (i as f32 % size_px as f32 - k.cx as f32) / k.fx as f32,
-                    (i as f32 / size_px as f32 - k.cy as f32) / k.fy as f32,
-                ];
-                let n = label.normals[i];
-                let facing = -(n[0] * ray[0] + n[1] * ray[1] + n[2]) / (1.0 + ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
-                headlight.ambient + headlight.headlight * facing.clamp(0.0, 1.0)
-            };
-            change.apply(&mut reference.rgb, &reference.mask, shade);
+        match Recolour::draw(rng, &config.look) {
+            Some(Recolour::Plain(grey)) => reference = render_with(self.object, &placement, &Plain(grey)),
+            Some(Recolour::Changed(change)) => change.apply(&mut reference.rgb, &reference.mask),
+            None => {}
         }
         let near = Window::of_crop(&placement.crop, &placement.intrinsics, self.stand.image_px).within(self.window);
         let light = near.part_of(self.window, &self.picture.light);
@@ -287,6 +278,10 @@ impl View<'_> {
 
 /// The reference, as the renderer node makes it.
 fn render_reference(object: &Object, placement: &Placement) -> Rendering {
+    render_with(object, placement, &Headlight::default())
+}
+
+fn render_with(object: &Object, placement: &Placement, shader: &impl Shader) -> Rendering {
     let size = placement.crop.size_px;
     let item = Item { mesh: &object.mesh, camera_from_object: placement.reference_camera_from_object };
     let scene = Scene {
@@ -297,6 +292,6 @@ fn render_reference(object: &Object, placement: &Placement) -> Rendering {
         background: Background::Colour([BACKGROUND_GREY; 3]),
     };
     let mut rendering = Rendering::new(size, size);
-    render_scene(&scene, &Headlight::default(), &mut Scratch::default(), &mut rendering);
+    render_scene(&scene, shader, &mut Scratch::default(), &mut rendering);
     rendering
 }

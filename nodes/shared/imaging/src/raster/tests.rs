@@ -1,8 +1,9 @@
 use super::*;
-use crate::{BACKGROUND_GREY, shapes};
+use crate::{BACKGROUND_GREY, MeshParts, shapes};
 use image::Rgb;
 use nalgebra::Vector3;
 use rand::{SeedableRng, rngs::StdRng};
+use std::path::Path;
 
 const K: Intrinsics = Intrinsics { fx: 400.0, fy: 410.0, cx: 63.3, cy: 61.8 };
 const SIZE: u32 = 128;
@@ -240,7 +241,7 @@ fn samples_inside_a_triangle_are_covered_and_others_are_not() {
             let (u, v) = (points[b] - points[a], nalgebra::Vector2::new(x - points[a].x, y - points[a].y));
             (u.x * v.y - u.y * v.x) / u.norm().max(1e-9)
         };
-        for i in 0..120 * 100 {
+        for i in 0..120 * 100_u32 {
             let (x, y) = (f64::from(i % 120), f64::from(i / 120));
             let away = [side(0, 1, x, y), side(1, 2, x, y), side(2, 0, x, y)];
             // Within a hundredth of a pixel of an edge's line the fixed-point places decide.
