@@ -1,13 +1,16 @@
 //! Poses from contour, flow and rough pose together.
 
-use crate::node::{Look, PnpNodeConfig, ViewPlanes, kept_pose, planes};
+use crate::gate::{ContourScale, Features, Gate, Scale, Stage, StageModel};
+use crate::node::{Look, PnpNodeConfig, Refinement, ViewPlanes, evidence, kept_pose, planes};
 use nalgebra::Point3;
 use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, RegionStatus, image_of_bytes, load_or_make};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceViews};
 use pseudoflow_runtime::{Inputs, NodeError, read};
-use pseudoflow_solver::{FlowEvidence, JointResult, JointSolver, JointTask, PixelBuffer};
+use pseudoflow_solver::{
+    FlowEvidence, JointResult, JointSolver, JointTask, PixelBuffer, PnpConfig, PnpResult, PnpStatus,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -25,6 +28,18 @@ pub enum Stages {
     Joint,
 }
 
+impl Stages {
+    /// The part of the gate's model that was learnt for it.
+    #[must_use]
+    pub fn learnt(self) -> Stage {
+        match self {
+            Self::Flow => Stage::Flow,
+            Self::Region => Stage::Region,
+            Self::Joint => Stage::Joint,
+        }
+    }
+}
+
 /// What is known of an object.
 struct Known {
     model: ContourModel,
@@ -39,6 +54,8 @@ pub(crate) struct Joint {
     /// With the size of the crops that its thresholds are for.
     solver: Option<(usize, JointSolver)>,
     buffer: PixelBuffer,
+    gate: Gate,
+    model: StageModel,
 }
 
 /// Side of the crops where there are none.
@@ -68,17 +85,24 @@ impl Joint {
     }
 
     /// `None` for flow alone. Contour models are made where they are not kept yet.
-    pub(crate) fn open(config: &PnpNodeConfig) -> Result<Option<Self>, NodeError> {
+    pub(crate) fn open(config: &PnpNodeConfig, model: &StageModel) -> Result<Option<Self>, NodeError> {
         let Some(folder) = config.objects.as_ref().filter(|_| config.stages != Stages::Flow) else { return Ok(None) };
         let cache = config.contours.clone().unwrap_or_else(|| std::env::temp_dir().join("pseudoflow-contours"));
         let mut objects = BTreeMap::new();
         for object in ObjectSet::load(folder)?.iter() {
-            let model = load_or_make(&object.mesh, &ModelSettings::default(), &cache)?;
-            objects.insert(object.id, Known { model, diameter_m: object.diameter_m });
+            let contour = load_or_make(&object.mesh, &ModelSettings::default(), &cache)?;
+            objects.insert(object.id, Known { model: contour, diameter_m: object.diameter_m });
         }
         log::info!("contours of {} objects; models are kept in {}", objects.len(), cache.display());
-        let (stages, config) = (config.stages, config.clone());
-        Ok(Some(Self { stages, objects, config, solver: None, buffer: PixelBuffer::default() }))
+        Ok(Some(Self {
+            stages: config.stages,
+            objects,
+            config: config.clone(),
+            solver: None,
+            buffer: PixelBuffer::default(),
+            gate: Gate::new(),
+            model: model.clone(),
+        }))
     }
 
     /// What became of each pose of a frame; nearer objects first, since they hide those behind.
@@ -144,7 +168,68 @@ impl Joint {
         };
         let result = solver.solve(&task, seed);
         log::debug!("object {id}: contour {}; cost {:.2}", result.region.status, result.cost);
-        Ok((outcome(&instance.given, &result), result.camera_from_object))
+        let look = match result.known {
+            true => self.judged(instance, &result, intrinsics.fx)?,
+            false => skipped(kept_pose(&instance.given, message_status(result.region.status), 0.0)),
+        };
+        // It hides others from where it goes out.
+        let accepted = look.refinement.as_ref().is_some_and(|r| r.accepted);
+        Ok((look, if accepted { result.camera_from_object } else { instance.rough }))
+    }
+
+    /// The pose that goes out, and how sure it is. Hypotheses of one instance are compared by their cost.
+    fn judged(&mut self, instance: &Instance<'_>, result: &JointResult, focal_px: f64) -> Result<Look, NodeError> {
+        let features = self.features(instance, result, focal_px)?;
+        let verdict = self.model.verdict(&features);
+        let given = &instance.given;
+        let accepted = self.config.gate.as_ref().is_none_or(|gate| verdict.better >= gate.min_better);
+        log::debug!("object {}: accepted {accepted}; {verdict:?}; {:?}", given.object_id, features.known());
+        let tracked = given.source == PoseSource::Tracked as u32;
+        let pose = match accepted {
+            true => ObjectPose {
+                status: PoseStatus::Ok as u32,
+                source: PoseSource::Refined as u32,
+                score: verdict.refined_right,
+                rotation_xyzw: quaternion_xyzw(&result.camera_from_object),
+                translation_m: result.camera_from_object.translation.vector.into(),
+                covariance: self.model.covariance.apply(&result.covariance, verdict.refined_right),
+                ..*given
+            },
+            false if tracked => kept_pose(given, PoseStatus::Ok, verdict.initial_right),
+            false => kept_pose(given, PoseStatus::Rejected, verdict.initial_right),
+        };
+        let refinement = Refinement {
+            before: instance.rough,
+            after: result.camera_from_object,
+            accepted,
+            features,
+            verdict,
+            solver_covariance: result.covariance,
+        };
+        Ok(Look { pose, seen: -result.cost, refinement: Some(refinement) })
+    }
+
+    fn features(
+        &mut self,
+        instance: &Instance<'_>,
+        result: &JointResult,
+        focal_px: f64,
+    ) -> Result<Features, NodeError> {
+        let Self { objects, gate, config, .. } = self;
+        let id = instance.given.object_id;
+        let known = objects.get(&id).ok_or_else(|| format!("object {id} is not in `objects`: give its set"))?;
+        let scale = ContourScale {
+            rough: instance.rough,
+            middle_m: known.model.centre_m(),
+            diameter_m: known.diameter_m,
+            focal_px,
+            points: known.model.view(&result.camera_from_object).len(),
+        };
+        let pictures = match &instance.planes {
+            Some(planes) => of_pictures(planes, result, config, gate)?,
+            None => Features::default(),
+        };
+        Ok(pictures.with_contour(result, &scale))
     }
 
     /// A solver with the thresholds of a crop's size.
@@ -157,22 +242,36 @@ impl Joint {
     }
 }
 
-/// The pose that goes out, and how it compares with other hypotheses of the instance: by its cost.
-fn outcome(given: &ObjectPose, result: &JointResult) -> Look {
-    if !result.known {
-        let pose = kept_pose(given, message_status(result.region.status), 0.0);
-        return Look { pose, seen: f64::NEG_INFINITY, refinement: None };
-    }
-    let pose = ObjectPose {
-        status: PoseStatus::Ok as u32,
-        source: PoseSource::Refined as u32,
-        score: result.inlier_ratio.unwrap_or(result.region.agreement),
-        rotation_xyzw: quaternion_xyzw(&result.camera_from_object),
-        translation_m: result.camera_from_object.translation.vector.into(),
+/// What flow and pictures say of the joint pose.
+fn of_pictures(
+    planes: &ViewPlanes<'_>,
+    result: &JointResult,
+    config: &PnpNodeConfig,
+    gate: &mut Gate,
+) -> Result<Features, NodeError> {
+    let size_px = planes.field.size_px;
+    let solved = PnpResult {
+        camera_from_object: result.camera_from_object,
         covariance: result.covariance,
-        ..*given
+        inlier_ratio: result.inlier_ratio.unwrap_or(0.0),
+        inliers: result.pnp.as_ref().map_or(0, |pnp| pnp.inliers),
+        rms_px: result.pnp.as_ref().map_or(0.0, |pnp| pnp.rms_px),
+        status: PnpStatus::Ok,
     };
-    Look { pose, seen: -result.cost, refinement: None }
+    let blocks_across = config.gate.clone().unwrap_or_default().blocks_across;
+    let evidence = evidence(planes, &solved, blocks_across, gate)?;
+    let scale = Scale {
+        size_px,
+        crop_side_px: planes.view.crop[2],
+        threshold_px: threshold_px(&config.solver, size_px),
+        diameter_m: planes.view.diameter_m,
+        initial_depth_m: planes.field.camera_from_object.translation.z,
+    };
+    Ok(Features::of(&solved, &evidence, &scale))
+}
+
+fn threshold_px(solver: &PnpConfig, size_px: usize) -> f64 {
+    solver.clone().scaled_to(size_px).threshold_px
 }
 
 fn message_status(status: RegionStatus) -> PoseStatus {

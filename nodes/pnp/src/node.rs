@@ -1,4 +1,4 @@
-use crate::gate::{Evidence, Features, Gate, GateConfig, GateView, Scale, Stage, StageModel, Verdict};
+use crate::gate::{Evidence, Features, Gate, GateConfig, GateView, Scale, StageModel, Verdict};
 use crate::joint::{Joint, Stages};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_msgs::{
@@ -26,8 +26,7 @@ pub struct PnpNodeConfig {
     pub contours: Option<PathBuf>,
     /// The joint solver of `region` and `joint`.
     pub joint: JointConfig,
-    /// When a pose refined by flow replaces the initial one (with `region` and `joint` the rough pose is a prior, and the
-    /// result always stands); `null` accepts every solution.
+    /// When a refined pose replaces the initial one, and how sure a pose is; `null` accepts every solution.
     pub gate: Option<GateConfig>,
     /// Smallest agreement of flow and picture with a pose for the object to count as seen there, -1 to 3: inlier ratio,
     /// correlation of the rendering with the crop and contrast across its contour. Below it the status is `NotSeen`.
@@ -266,7 +265,7 @@ impl Judgement {
     }
 }
 
-fn evidence(
+pub(crate) fn evidence(
     planes: &ViewPlanes<'_>,
     found: &PnpResult,
     blocks_across: usize,
@@ -370,13 +369,13 @@ impl Node for PnpNode {
         if !(-1.0..=3.0).contains(&config.min_seen) {
             return Err(format!("`min_seen: {}`: give -1 to 3", config.min_seen).into());
         }
-        config.gate.clone().unwrap_or_default().stage_model(Stage::Flow)?;
+        config.gate.clone().unwrap_or_default().stage_model(config.stages.learnt())?;
         Joint::check(config)
     }
 
     fn create(config: PnpNodeConfig, _: &Context) -> Result<Self, NodeError> {
-        let model = config.gate.clone().unwrap_or_default().stage_model(Stage::Flow)?;
-        let joint = Joint::open(&config)?;
+        let model = config.gate.clone().unwrap_or_default().stage_model(config.stages.learnt())?;
+        let joint = Joint::open(&config, &model)?;
         Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new(), model, joint })
     }
 

@@ -7,13 +7,13 @@ mod samples;
 
 use super::progress_bar;
 use crate::pipeline::{Pipeline, PipelineConfig};
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use fit::{Fitted, fit_stage};
 use pseudoflow_flow::FlowConfig;
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_network::ComputeDevice;
-use pseudoflow_pnp::PnpNodeConfig;
 use pseudoflow_pnp::gate::{GateModel, Stage};
+use pseudoflow_pnp::{PnpNodeConfig, Stages};
 use pseudoflow_renderer::RendererConfig;
 use samples::{Maker, Sample};
 use std::path::{Path, PathBuf};
@@ -24,12 +24,15 @@ pub(crate) struct Args {
     /// Meshes to calibrate with: BOP `models` folders. Plain and textured ones, and none of those that it will be tested with.
     #[arg(long, required = true, num_args = 1..)]
     objects: Vec<PathBuf>,
-    /// Weights of the flow network: `.safetensors` or `.onnx`.
+    /// Weights of the flow network: `.safetensors` or `.onnx`. `--stages region` needs none.
     #[arg(long)]
-    weights: PathBuf,
+    weights: Option<PathBuf>,
     /// The network that the weights belong to: nano, small or paper.
     #[arg(long, default_value = "auto")]
     network: String,
+    /// What poses are solved from: flow, region (the contour alone) or joint.
+    #[arg(long, default_value = "flow")]
+    stages: String,
     /// Refinements to make and learn from; 0 to learn from `--samples` alone.
     #[arg(long, default_value_t = 3000)]
     pairs: usize,
@@ -45,7 +48,8 @@ pub(crate) struct Args {
     /// Seed of the scenes and of the rough poses.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// The model to write; `gate.model` of pnp names it. The samples go beside it, `.samples.jsonl`.
+    /// The model to write; `gate.model` of pnp names it. Other stages stay as they are in it, or as in the binary where there is
+    /// no such file yet. The samples go beside it, `.STAGES.samples.jsonl`.
     #[arg(long)]
     out: PathBuf,
     /// Samples of earlier runs to fit with too.
@@ -55,31 +59,44 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     ensure!(!args.size.is_empty() && args.ridge > 0.0, "give at least one `--size` and a `--ridge` over 0");
+    let stages = super::eval::stages_named(&args.stages)?;
+    ensure!(
+        args.pairs == 0 || stages == Stages::Region || args.weights.is_some(),
+        "`--stages {}` needs `--weights`: those of the flow network",
+        args.stages
+    );
     let mut all = Vec::new();
     for file in &args.samples {
         all.extend(samples::read(file)?);
     }
     if args.pairs > 0 {
-        let made = make(args)?;
-        samples::write(&args.out.with_extension("samples.jsonl"), &made)?;
+        let made = make(args, stages)?;
+        samples::write(&args.out.with_extension(format!("{}.samples.jsonl", args.stages)), &made)?;
         all.extend(made);
+    }
+    if let Some(other) = all.iter().find(|s| s.stage != stages.learnt()) {
+        bail!(
+            "`--samples`: there are samples of stage {:?} among them; `--stages {}` wants its own",
+            other.stage,
+            args.stages
+        );
     }
     let fitted = fit_stage(&all, args.ridge).with_context(|| format!("{} refinements", all.len()))?;
     print!("{}", report(&all, &fitted));
-    write(args, &all, fitted)?;
+    write(args, stages.learnt(), &all, fitted)?;
     println!("model: {}", args.out.display());
     Ok(ExitCode::SUCCESS)
 }
 
 /// As many refinements as asked for, an equal share of each folder and size.
-fn make(args: &Args) -> Result<Vec<Sample>> {
+fn make(args: &Args, stages: Stages) -> Result<Vec<Sample>> {
     let bar = progress_bar(args.pairs as u64, "refine");
     let shares = args.objects.len() * args.size.len();
     let mut made = Vec::with_capacity(args.pairs);
     for (i, (folder, size)) in args.objects.iter().flat_map(|f| args.size.iter().map(move |s| (f, *s))).enumerate() {
         let wanted = args.pairs * (i + 1) / shares - args.pairs * i / shares;
-        let mut pipeline = pipeline(args, folder, size)?;
-        let maker = Maker::open(folder, args.seed + 1000 * i as u64)?;
+        let mut pipeline = pipeline(args, stages, folder, size)?;
+        let maker = Maker::open(folder, args.seed + 1000 * i as u64, stages.learnt())?;
         let mut of_share = Vec::with_capacity(wanted);
         let mut scene = 0;
         while of_share.len() < wanted {
@@ -95,25 +112,32 @@ fn make(args: &Args) -> Result<Vec<Sample>> {
     Ok(made)
 }
 
-fn pipeline(args: &Args, objects: &Path, size_px: u32) -> Result<Pipeline> {
+fn pipeline(args: &Args, stages: Stages, objects: &Path, size_px: u32) -> Result<Pipeline> {
+    let views = match &args.weights {
+        Some(weights) if stages != Stages::Region => {
+            Some((RendererConfig::new(objects.to_owned(), size_px), flow_config(args, weights, size_px)?))
+        }
+        _ => None,
+    };
     Pipeline::open(PipelineConfig {
-        views: Some((
-            RendererConfig::new(objects.to_owned(), size_px),
-            FlowConfig {
-                model: args.weights.clone(),
-                network: super::export::network(&args.network)?,
-                size_px,
-                iterations: args.iterations,
-                max_batch: 16,
-                device: ComputeDevice::default(),
-                engine: EngineConfig::default(),
-                lockstep: None,
-            },
-        )),
+        views,
         // Without a gate every solution comes out, the bad ones too.
-        pnp: PnpNodeConfig { gate: None, ..PnpNodeConfig::default() },
+        pnp: PnpNodeConfig { gate: None, stages, objects: Some(objects.to_owned()), ..PnpNodeConfig::default() },
         passes: 1,
         seed: args.seed,
+    })
+}
+
+fn flow_config(args: &Args, weights: &Path, size_px: u32) -> Result<FlowConfig> {
+    Ok(FlowConfig {
+        model: weights.to_owned(),
+        network: super::export::network(&args.network)?,
+        size_px,
+        iterations: args.iterations,
+        max_batch: 16,
+        device: ComputeDevice::default(),
+        engine: EngineConfig::default(),
+        lockstep: None,
     })
 }
 
@@ -148,23 +172,28 @@ fn report(samples: &[Sample], fitted: &Fitted) -> String {
     text
 }
 
-fn write(args: &Args, samples: &[Sample], fitted: Fitted) -> Result<()> {
-    let folders: Vec<String> = args.objects.iter().map(|f| f.display().to_string()).collect();
-    let sizes: Vec<String> = args.size.iter().map(u32::to_string).collect();
-    let made_by = format!(
-        "pseudoflow calibrate --objects {} --weights {} --size {} --pairs {} --ridge {} --seed {} ({} refinements)",
-        folders.join(" "),
-        args.weights.display(),
-        sizes.join(","),
-        args.pairs,
-        args.ridge,
-        args.seed,
-        samples.len()
-    );
-    let model = GateModel { made_by, stages: [(Stage::Flow, fitted.model)].into() };
+fn write(args: &Args, stage: Stage, samples: &[Sample], fitted: Fitted) -> Result<()> {
+    let mut model = GateModel::load(args.out.is_file().then_some(args.out.as_path()))?;
+    model.learn(stage, fitted.model, &command(args, samples.len()));
     let text = format!(
         "# What pnp's gate believes (nodes/pnp/src/gate/model.rs says what the numbers mean).\n{}",
         serde_yaml::to_string(&model)?
     );
     std::fs::write(&args.out, text).with_context(|| format!("{}: cannot be written", args.out.display()))
+}
+
+/// The command again, for the file's head.
+fn command(args: &Args, refinements: usize) -> String {
+    let folders: Vec<String> = args.objects.iter().map(|f| f.display().to_string()).collect();
+    let sizes: Vec<String> = args.size.iter().map(u32::to_string).collect();
+    let weights = args.weights.as_ref().map_or(String::new(), |w| format!(" --weights {}", w.display()));
+    format!(
+        "pseudoflow calibrate --stages {} --objects {}{weights} --size {} --pairs {} --ridge {} --seed {} ({refinements} refinements)",
+        args.stages,
+        folders.join(" "),
+        sizes.join(","),
+        args.pairs,
+        args.ridge,
+        args.seed,
+    )
 }

@@ -308,7 +308,11 @@ fn pipeline_config(
 }
 
 fn stages(args: &Args) -> Result<Stages> {
-    Ok(match args.stages.as_str() {
+    stages_named(&args.stages)
+}
+
+pub(super) fn stages_named(name: &str) -> Result<Stages> {
+    Ok(match name {
         "flow" => Stages::Flow,
         "region" => Stages::Region,
         "joint" => Stages::Joint,

@@ -1,4 +1,5 @@
 use super::Evidence;
+use pseudoflow_geometry::{Pose, rotation_angle_rad};
 use pseudoflow_solver::PnpResult;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -50,13 +51,21 @@ pub enum Feature {
     ContourOverlap,
     /// Contour stage: share of the contour's lines that agree with the refined pose, 0..1.
     ContourAgreement,
-    /// Contour stage: distance between what flow and contour would have found alone, diameters, at most 0.5.
+    /// Contour stage: distance between the pose and what flow found alone, diameters, at most 0.5; that where it found none.
     FlowContourDistance,
+    /// Contour stage: share of the contour's points that could be read, 0..1.
+    ContourSeen,
+    /// Contour stage: negative log posterior by the lines read, at most 3 either way.
+    CostPerLine,
+    /// Contour stage: natural logarithm of the object's diameter in the image, pixels.
+    LnObjectPx,
+    /// Contour stage: shift of the object's middle across the view, diameters, at most 0.5.
+    Shift,
 }
 
 impl Feature {
     /// All, in the order of their numbers.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 26] = [
         Self::InlierRatio,
         Self::InlierRms,
         Self::PhotometricInitial,
@@ -79,6 +88,10 @@ impl Feature {
         Self::ContourOverlap,
         Self::ContourAgreement,
         Self::FlowContourDistance,
+        Self::ContourSeen,
+        Self::CostPerLine,
+        Self::LnObjectPx,
+        Self::Shift,
     ];
 }
 
@@ -139,10 +152,7 @@ impl Features {
         let photometric = |value: f64| if textured { value } else { 0.0 };
         let (before, after) = (photometric(evidence.photometric_initial), photometric(evidence.photometric_refined));
         let displacement = (evidence.displacement_px / scale.size_px as f64).min(0.5);
-        let rotation = evidence.rotation_rad.min(1.5);
         let depth_m = found.camera_from_object.translation.z;
-        let depth = ((depth_m - scale.initial_depth_m).abs() / scale.diameter_m).min(1.0);
-        let sigma = |start: usize| ((start..start + 3).map(|i| found.covariance[7 * i]).sum::<f64>() / 3.0).sqrt();
         Self::default()
             .with(Feature::InlierRatio, found.inlier_ratio)
             .with(Feature::InlierRms, found.rms_px / scale.threshold_px)
@@ -155,19 +165,39 @@ impl Features {
             .with(Feature::SilhouetteGain, (evidence.silhouette_refined - evidence.silhouette_initial).clamp(-0.5, 0.5))
             .with(Feature::Displacement, displacement)
             .with(Feature::DisplacementOverTenth, (displacement - 0.1).max(0.0))
-            .with(Feature::Rotation, rotation)
-            .with(Feature::RotationOver20Deg, (rotation - 20_f64.to_radians()).max(0.0))
-            .with(Feature::DepthChange, depth)
-            .with(Feature::DepthChangeOverQuarter, (depth - 0.25).max(0.0))
             .with(Feature::ShareInView, evidence.share_in_view)
-            .with(Feature::LnTranslationSigma, ln_of(sigma(0) / scale.diameter_m))
-            .with(Feature::LnRotationSigma, ln_of(sigma(3)))
+            .with_angle(evidence.rotation_rad)
+            .with_depth_change((depth_m - scale.initial_depth_m).abs() / scale.diameter_m)
+            .with_sigmas(&found.covariance, scale.diameter_m)
             .with(Feature::LnMagnification, ln_of(scale.size_px as f64 / scale.crop_side_px))
+    }
+
+    /// With the angle between two poses and their change of depth, diameters.
+    pub(super) fn with_change(self, before: &Pose, after: &Pose, depth: f64) -> Self {
+        self.with_angle(rotation_angle_rad(before, after)).with_depth_change(depth)
+    }
+
+    fn with_angle(self, angle_rad: f64) -> Self {
+        let rotation = angle_rad.min(1.5);
+        self.with(Feature::Rotation, rotation)
+            .with(Feature::RotationOver20Deg, (rotation - 20_f64.to_radians()).max(0.0))
+    }
+
+    fn with_depth_change(self, diameters: f64) -> Self {
+        let depth = diameters.min(1.0);
+        self.with(Feature::DepthChange, depth).with(Feature::DepthChangeOverQuarter, (depth - 0.25).max(0.0))
+    }
+
+    /// With the size of a covariance (row-major 6 x 6, translation first).
+    pub(super) fn with_sigmas(self, covariance: &[f64; 36], diameter_m: f64) -> Self {
+        let sigma = |start: usize| ((start..start + 3).map(|i| covariance[7 * i]).sum::<f64>() / 3.0).sqrt();
+        self.with(Feature::LnTranslationSigma, ln_of(sigma(0) / diameter_m))
+            .with(Feature::LnRotationSigma, ln_of(sigma(3)))
     }
 }
 
 /// The logarithm, between those of a millionth and of a thousand. Nothing is known of what is 0: a covariance of zeros.
-fn ln_of(value: f64) -> f64 {
+pub(super) fn ln_of(value: f64) -> f64 {
     if value > 0.0 { value.clamp(1e-6, 1e3).ln() } else { f64::NAN }
 }
 

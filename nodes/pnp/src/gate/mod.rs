@@ -5,6 +5,7 @@
 //! numbers; a [`StageModel`] that was fitted on synthetic pairs, whose truth is lawful, says how probable it is that the
 //! refined pose is better than the initial one, and that each of them is right; [`GateConfig::decide`] decides.
 
+mod contour;
 mod decision;
 mod evidence;
 mod features;
@@ -14,6 +15,7 @@ mod picture;
 #[cfg(test)]
 mod tests;
 
+pub use contour::ContourScale;
 pub use decision::{Decision, GateConfig, GateReason};
 pub use evidence::{Evidence, Gate, GateView};
 pub use features::{Feature, Features, Scale};

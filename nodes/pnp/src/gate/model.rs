@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GateModel {
-    /// The command that made it, and from what.
+    /// The commands that made it, and from what: a line for each stage, `stage: command`.
     pub made_by: String,
     /// By what the solver saw.
     pub stages: BTreeMap<Stage, StageModel>,
@@ -182,6 +182,16 @@ impl GateModel {
             Some((stage, _)) => Err(GateModelError::Unsound { origin: origin.to_owned(), stage: *stage }),
             None => Ok(model),
         }
+    }
+
+    /// Puts what was learnt about a stage in place of what was known of it.
+    pub fn learn(&mut self, stage: Stage, model: StageModel, command: &str) {
+        let name = format!("{stage:?}: ").to_lowercase();
+        let others = self.made_by.lines().filter(|line| !line.starts_with(&name)).map(str::to_owned);
+        let mut lines: Vec<String> = others.chain([format!("{name}{command}")]).collect();
+        lines.sort();
+        self.made_by = lines.join("\n");
+        self.stages.insert(stage, model);
     }
 
     /// The model of one stage.

@@ -206,6 +206,17 @@ fn a_model_is_read_strictly() {
 }
 
 #[test]
+fn a_stage_is_learnt_beside_the_others() {
+    let mut model = GateModel::load(None).unwrap();
+    let (flow, region) = (model.stages[&Stage::Flow].clone(), model.stages[&Stage::Region].clone());
+    model.learn(Stage::Region, flow.clone(), "a command");
+    assert_eq!((&model.stages[&Stage::Flow], &model.stages[&Stage::Region]), (&flow, &flow));
+    assert_ne!(flow, region);
+    let lines = |m: &GateModel| m.made_by.lines().filter(|l| l.starts_with("region: ")).count();
+    assert!(lines(&model) == 1 && model.made_by.contains("region: a command") && model.made_by.contains("flow: "));
+}
+
+#[test]
 fn bad_arguments_are_named() {
     let (rgb, depth) = (vec![0; SIZE * SIZE * 3], vec![0.0; SIZE * SIZE]);
     let view = GateView {

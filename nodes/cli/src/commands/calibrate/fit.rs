@@ -50,8 +50,13 @@ struct Kind {
 
 /// What pictures alone say of the initial pose. How far a refinement moves says less of it than it seems: in synthetic images
 /// the flow is mostly right, in others it may not be.
-const OF_INITIAL: [Feature; 4] =
-    [Feature::PhotometricInitial, Feature::SilhouetteInitial, Feature::Textured, Feature::LnMagnification];
+const OF_INITIAL: [Feature; 5] = [
+    Feature::PhotometricInitial,
+    Feature::SilhouetteInitial,
+    Feature::Textured,
+    Feature::LnMagnification,
+    Feature::LnObjectPx,
+];
 
 const KINDS: [Kind; 3] = [
     Kind { name: "better", outcome: Sample::is_better, features: &Feature::ALL },
@@ -240,6 +245,7 @@ fn area(claims: &[(f64, bool)]) -> f64 {
 mod tests {
     use super::*;
     use pseudoflow_geometry::standard_normal;
+    use pseudoflow_pnp::gate::Stage;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -252,6 +258,7 @@ mod tests {
             let error: [f64; 6] = std::array::from_fn(|_| 1e-3 * grow * standard_normal(&mut rng));
             let length = error.iter().map(|e| e * e).sum::<f64>().sqrt();
             Sample {
+                stage: Stage::Flow,
                 object: format!("o/{}", i % 10),
                 visible: 1.0,
                 before: rng.random_range(0.0..0.3),

@@ -9,7 +9,7 @@ use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View};
 use pseudoflow_imaging::{Object, ObjectSet, RgbImage};
 use pseudoflow_metrics::{MatrixPose, add_m, adi_m, nearest_symmetric, pose_error};
 use pseudoflow_msgs::{CameraFrameHeader, FRAME_ID_BYTES, ObjectPose, PoseSource, PoseStatus};
-use pseudoflow_pnp::gate::{Feature, Features};
+use pseudoflow_pnp::gate::{Feature, Features, Stage};
 use pseudoflow_pnp::{Look, Refinement};
 use pseudoflow_runtime::Context;
 use pseudoflow_trainer::synth::{SceneConfig, SceneGenerator, SceneSample};
@@ -24,6 +24,9 @@ use std::sync::Arc;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Sample {
+    /// What was solved from.
+    #[serde(default)]
+    pub(super) stage: Stage,
     /// Folder and number of the object.
     pub(super) object: String,
     /// Visible share of the object.
@@ -77,6 +80,7 @@ pub(super) struct Maker {
     scenes: SceneGenerator,
     rasteriser: SoftwareRasteriser,
     context: Context,
+    stage: Stage,
 }
 
 /// Crowded, often hidden, from small in the image to large: what is easy teaches the gate nothing.
@@ -91,7 +95,7 @@ fn scene_config() -> SceneConfig {
 }
 
 impl Maker {
-    pub(super) fn open(folder: &Path, seed: u64) -> Result<Self> {
+    pub(super) fn open(folder: &Path, seed: u64, stage: Stage) -> Result<Self> {
         let objects = Arc::new(ObjectSet::load(folder)?);
         let models = objects.iter().map(|o| Ok((o.id, EvalModel::new(o)?))).collect::<Result<_>>()?;
         let mut rasteriser = SoftwareRasteriser::new();
@@ -101,7 +105,7 @@ impl Maker {
         let scenes = SceneGenerator::new(Arc::clone(&objects), scene_config(), seed)?;
         let out_dir = std::env::temp_dir();
         let context = Context { name: "calibrate".into(), seed, out_dir, restarts: 0, replay: true };
-        Ok(Self { folder: folder.display().to_string(), objects, models, scenes, rasteriser, context })
+        Ok(Self { folder: folder.display().to_string(), objects, models, scenes, rasteriser, context, stage })
     }
 
     /// Makes a scene, refines a rough pose of everything in it that can be seen, and says what became of each.
@@ -135,6 +139,7 @@ impl Maker {
         let error =
             pose_error(&(*after).into(), &nearest_symmetric(&(*after).into(), &(*truth).into(), &model.symmetries));
         Ok(Some(Sample {
+            stage: self.stage,
             object: format!("{}/{}", self.folder, look.pose.object_id),
             visible: *visible,
             before: add_s_of_diameter(model, before, truth),
@@ -250,6 +255,7 @@ mod tests {
     #[test]
     fn samples_survive_their_file() {
         let sample = Sample {
+            stage: Stage::Joint,
             object: "pool/7".into(),
             visible: 0.7,
             before: 0.2,
