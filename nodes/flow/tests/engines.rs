@@ -1,5 +1,5 @@
 //! All engines give the same flow up to rounding: at most 0.02 px apart after four iterations on flow of some pixels.
-//! burn runs on the processor here, and with the feature `vulkan` on an adapter as well (lavapipe in CI).
+//! burn runs on the processor here, and with the feature `vulkan` on an adapter as well (`tests/run gpu`).
 #![allow(clippy::print_stdout, reason = "it says how far apart they are")]
 
 use pseudoflow_flow::{FlowConfig, FlowNode, Network};

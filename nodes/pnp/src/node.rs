@@ -351,7 +351,7 @@ impl Node for PnpNode {
     type Config = PnpNodeConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        // Which of them are needed depends on `stages`; the first frame says what is missing.
+        // Which of them are needed depends on `stages`: see `needs`.
         vec![
             PortSpec::optional::<ReferenceViews<'static>>("views"),
             PortSpec::optional::<FlowFields<'static>>("flow"),
@@ -371,6 +371,15 @@ impl Node for PnpNode {
         }
         config.gate.clone().unwrap_or_default().stage_model(config.stages.learnt())?;
         Joint::check(config)
+    }
+
+    fn needs(config: &PnpNodeConfig) -> Vec<&'static str> {
+        match config.stages {
+            Stages::Flow => vec!["views", "flow"],
+            // Rough poses come by `initial_poses` or in `views`.
+            Stages::Region => vec!["frame"],
+            Stages::Joint => vec!["views", "flow", "frame"],
+        }
     }
 
     fn create(config: PnpNodeConfig, _: &Context) -> Result<Self, NodeError> {

@@ -113,7 +113,8 @@ impl FlowNetwork {
     }
 }
 
-/// A [`FlowNetwork`] with its weights on a device.
+/// A [`FlowNetwork`] with its weights on a device. One exists for each engine: its size does not matter.
+#[allow(clippy::large_enum_variant, reason = "made once, never moved about")]
 #[derive(Debug)]
 pub enum BuiltFlow {
     /// A RAFT.

@@ -88,6 +88,11 @@ pub trait Node: Sized {
     /// One that names field, value and remedy.
     fn check(config: &Self::Config) -> Result<(), NodeError>;
 
+    /// Optional inputs that this configuration cannot do without. `pseudoflow check` finds those that are not connected.
+    fn needs(_config: &Self::Config) -> Vec<&'static str> {
+        Vec::new()
+    }
+
     /// Makes the node: loads models, opens devices, warms up.
     ///
     /// # Errors

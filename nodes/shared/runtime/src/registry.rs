@@ -20,6 +20,8 @@ pub(crate) struct Kind {
     pub(crate) outputs: Vec<PortSpec>,
     pub(crate) schema: fn() -> serde_json::Value,
     pub(crate) check: fn(&Value) -> Result<(), ConfigError>,
+    /// Optional inputs that a configuration needs; none of one that cannot be read.
+    pub(crate) needs: fn(&Value) -> Vec<&'static str>,
     pub(crate) run: fn(&runner::Launch) -> Result<(), RunError>,
 }
 
@@ -49,6 +51,7 @@ impl Registry {
             outputs: N::outputs(),
             schema: || schemars::schema_for!(N::Config).to_value(),
             check: |value| check_config::<N>(value),
+            needs: |value| read_config::<N>(value).map_or_else(|_| Vec::new(), |config| N::needs(&config)),
             run: runner::run::<N>,
         };
         self.kinds.insert(N::KIND, kind);

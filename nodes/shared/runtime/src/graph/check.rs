@@ -1,6 +1,6 @@
 use super::{Graph, Mode, Problem};
 use crate::plan::{Edge, Wiring};
-use crate::{Registry, Role};
+use crate::{PortSpec, Registry, Role};
 
 /// Checks everything that can be known before a process starts.
 ///
@@ -86,7 +86,9 @@ impl<'a> Check<'a> {
                 }
                 self.producer(i, port, output);
             }
-            for port in kind.inputs.iter().filter(|p| p.required && !spec.inputs.contains_key(p.name)) {
+            let needed = (kind.needs)(&spec.config);
+            let needs = |port: &PortSpec| port.required || needed.contains(&port.name);
+            for port in kind.inputs.iter().filter(|p| needs(p) && !spec.inputs.contains_key(p.name)) {
                 let what = format!("required input ({}) without a producer", port.message);
                 let remedy = format!("connect it: `{}: node/port`{}", port.name, self.offers(port.message));
                 self.report(Some(i), &format!("inputs.{}", port.name), what, remedy);
