@@ -41,7 +41,7 @@ fn config(device: ComputeDevice, engine: EngineConfig) -> FlowConfig {
         model: root.join("config/weights/raft_small.safetensors"),
         network: Network::Small,
         size_px: SIZE,
-        iterations: 4,
+        iterations: Some(4),
         max_batch: 16,
         device,
         engine,
