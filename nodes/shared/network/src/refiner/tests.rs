@@ -72,7 +72,12 @@ fn learns_flow_and_visibility_of_one_batch() {
         let (sum, n) = of_first.fold((0.0, 0), |(sum, n), logit| (sum + logit, n + 1));
         sum / n as f32
     };
-    assert!(mean(1.0) > 1.0 && mean(0.0) < 0.0, "visibility of seen {} and hidden {}", mean(1.0), mean(0.0));
+    assert!(
+        mean(1.0) > 1.0 && mean(1.0) > mean(0.0) + 1.5,
+        "visibility of seen {} and hidden {}",
+        mean(1.0),
+        mean(0.0)
+    );
 }
 
 #[test]
