@@ -74,7 +74,7 @@ impl CovarianceScale {
     #[must_use]
     pub fn apply(&self, covariance: &[f64; 36], confidence: f64) -> [f64; 36] {
         let factors = self.factors(confidence);
-        let believed = |i: usize| if i % 7 == 0 { 1.0 } else { 1.0 - self.decorrelation };
+        let believed = |i: usize| if i.is_multiple_of(7) { 1.0 } else { 1.0 - self.decorrelation };
         std::array::from_fn(|i| covariance[i] * factors[i / 6 / 3] * factors[i % 6 / 3] * believed(i))
     }
 
