@@ -1,16 +1,16 @@
 //! Poses from contour, flow and rough pose together.
 
-use crate::gate::{ContourScale, Features, Gate, Scale, Stage, StageModel};
-use crate::node::{Look, PnpNodeConfig, Refinement, ViewPlanes, evidence, kept_pose, planes};
+use crate::PnpNodeConfig;
+use crate::gate::{ContourScale, Features, Gate, Stage, StageModel};
+use crate::node::{Look, Refinement, kept_pose};
+use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use nalgebra::Point3;
 use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, RegionStatus, image_of_bytes, load_or_make};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceViews};
 use pseudoflow_runtime::{Inputs, NodeError, read};
-use pseudoflow_solver::{
-    FlowEvidence, JointResult, JointSolver, JointTask, PixelBuffer, PnpConfig, PnpResult, PnpStatus,
-};
+use pseudoflow_solver::{FlowEvidence, JointResult, JointSolver, JointTask, PixelBuffer, PnpResult, PnpStatus};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -249,7 +249,6 @@ fn of_pictures(
     config: &PnpNodeConfig,
     gate: &mut Gate,
 ) -> Result<Features, NodeError> {
-    let size_px = planes.field.size_px;
     let solved = PnpResult {
         camera_from_object: result.camera_from_object,
         covariance: result.covariance,
@@ -260,18 +259,8 @@ fn of_pictures(
     };
     let blocks_across = config.gate.clone().unwrap_or_default().blocks_across;
     let evidence = evidence(planes, &solved, blocks_across, gate)?;
-    let scale = Scale {
-        size_px,
-        crop_side_px: planes.view.crop[2],
-        threshold_px: threshold_px(&config.solver, size_px),
-        diameter_m: planes.view.diameter_m,
-        initial_depth_m: planes.field.camera_from_object.translation.z,
-    };
-    Ok(Features::of(&solved, &evidence, &scale))
-}
-
-fn threshold_px(solver: &PnpConfig, size_px: usize) -> f64 {
-    solver.clone().scaled_to(size_px).threshold_px
+    let threshold_px = config.solver.clone().scaled_to(planes.field.size_px).threshold_px;
+    Ok(Features::of(&solved, &evidence, &planes.scale(threshold_px)))
 }
 
 fn message_status(status: RegionStatus) -> PoseStatus {
@@ -319,13 +308,7 @@ fn of_views<'a>(
     flow: &FlowFields<'a>,
     looks: &mut Vec<Look>,
 ) -> Result<Vec<Instance<'a>>, NodeError> {
-    if flow.header.fields as usize != views.views.len() + views.partners.len()
-        || flow.header.size_px != views.header.size_px
-    {
-        return Err(
-            "views and flow do not belong together: connect `flow` to the node that took the same `views`".into()
-        );
-    }
+    belong_together(views, flow)?;
     looks.extend(views.skipped.iter().copied().map(skipped));
     let instance = |i: usize| {
         let planes = planes(views, flow, i)?;

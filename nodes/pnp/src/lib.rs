@@ -7,9 +7,12 @@
 //! With `stages: joint` the contour of the object in the camera's image and the rough pose count as well, in one cost
 //! ([`pseudoflow_solver::JointSolver`]); with `stages: region` there is no flow at all, and no network is needed.
 
+mod config;
 pub mod gate;
 mod joint;
 mod node;
+mod views;
 
+pub use config::PnpNodeConfig;
 pub use joint::Stages;
-pub use node::{Judgement, Look, PnpNode, PnpNodeConfig, Refinement};
+pub use node::{Judgement, Look, PnpNode, Refinement};

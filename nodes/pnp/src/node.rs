@@ -1,58 +1,12 @@
-use crate::gate::{Evidence, Features, Gate, GateConfig, GateView, Scale, StageModel, Verdict};
+use crate::PnpNodeConfig;
+use crate::gate::{Evidence, Features, Gate, StageModel, Verdict};
 use crate::joint::{Joint, Stages};
-use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
-use pseudoflow_msgs::{
-    CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceView, ReferenceViews,
-};
+use crate::views::{ViewPlanes, belong_together, evidence, planes};
+use pseudoflow_geometry::{Pose, quaternion_xyzw};
+use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceViews};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
-use pseudoflow_solver::{FlowField, JointConfig, PixelBuffer, PnpConfig, PnpResult, PnpStatus, Solver};
+use pseudoflow_solver::{PixelBuffer, PnpResult, PnpStatus, Solver};
 use rand::Rng;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
-
-/// Settings of the pnp node.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct PnpNodeConfig {
-    /// The solver. Pixel thresholds are those of a crop of 256 px and scale with the crop.
-    pub solver: PnpConfig,
-    /// What poses are solved from. `region` and `joint` need `objects` and the `frame` port, `region` needs neither `views`
-    /// nor `flow` but `initial_poses`.
-    pub stages: Stages,
-    /// Folder of the object set (BOP `models/`), for its contours.
-    pub objects: Option<PathBuf>,
-    /// Folder where contour models are kept for the next start; without it one in the system's temporary folder.
-    pub contours: Option<PathBuf>,
-    /// The joint solver of `region` and `joint`.
-    pub joint: JointConfig,
-    /// When a refined pose replaces the initial one, and how sure a pose is; `null` accepts every solution.
-    pub gate: Option<GateConfig>,
-    /// Smallest agreement of flow and picture with a pose for the object to count as seen there, -1 to 3: inlier ratio,
-    /// correlation of the rendering with the crop and contrast across its contour. Below it the status is `NotSeen`.
-    pub min_seen: f64,
-    /// Frames of a training that went before this run: they decide what is drawn at random.
-    pub first_frame: u64,
-}
-
-impl Default for PnpNodeConfig {
-    fn default() -> Self {
-        Self {
-            solver: PnpConfig::default(),
-            stages: Stages::default(),
-            objects: None,
-            contours: None,
-            joint: JointConfig::default(),
-            gate: Some(GateConfig::default()),
-            min_seen: MIN_SEEN,
-            first_frame: 0,
-        }
-    }
-}
-
-/// Between right poses and poses at places where other things are: on data/tabletop's test images (273 and 268 of them) one in
-/// twenty of the former lies below, one in twenty of the latter above.
-const MIN_SEEN: f64 = 1.1;
 
 /// Views and flow in, refined poses out.
 pub struct PnpNode {
@@ -92,14 +46,6 @@ pub struct Refinement {
     pub solver_covariance: [f64; 36],
 }
 
-/// The planes of one view.
-pub(crate) struct ViewPlanes<'a> {
-    pub(crate) view: &'a ReferenceView,
-    pub(crate) field: FlowField<'a>,
-    reference_rgb: &'a [u8],
-    real_rgb: &'a [u8],
-}
-
 impl PnpNode {
     /// The solver for crops of a size; made anew only when the size changes.
     fn solver(&mut self, size_px: usize) -> Result<&mut Solver, NodeError> {
@@ -125,7 +71,8 @@ impl PnpNode {
     fn looked_at(&mut self, planes: &ViewPlanes<'_>, found: &PnpResult) -> Result<Look, NodeError> {
         let config = self.config.gate.clone().unwrap_or_default();
         let evidence = evidence(planes, found, config.blocks_across, &mut self.gate)?;
-        let features = Features::of(found, &evidence, &self.scale(planes)?);
+        let threshold_px = self.solver(planes.field.size_px)?.config().threshold_px;
+        let features = Features::of(found, &evidence, &planes.scale(threshold_px));
         let verdict = self.model.verdict(&features);
         let decision = config.decide(found, &evidence, &verdict, planes.field.size_px);
         let refused = self.config.gate.is_some() && !decision.accept;
@@ -165,17 +112,6 @@ impl PnpNode {
         Ok(Look { pose, seen, refinement: Some(refinement) })
     }
 
-    fn scale(&mut self, planes: &ViewPlanes<'_>) -> Result<Scale, NodeError> {
-        let threshold_px = self.solver(planes.field.size_px)?.config().threshold_px;
-        Ok(Scale {
-            size_px: planes.field.size_px,
-            crop_side_px: planes.view.crop[2],
-            threshold_px,
-            diameter_m: planes.view.diameter_m,
-            initial_depth_m: planes.field.camera_from_object.translation.z,
-        })
-    }
-
     /// What became of each instance of a frame, of several hypotheses the best; ordered by object and instance. This is all
     /// that [`Node::process`] does but for sending.
     ///
@@ -188,13 +124,7 @@ impl PnpNode {
         }
         let views = read::<ReferenceViews<'static>>(inputs, "views")?;
         let flow = read::<FlowFields<'static>>(inputs, "flow")?;
-        if flow.header.fields as usize != views.views.len() + views.partners.len()
-            || flow.header.size_px != views.header.size_px
-        {
-            return Err(
-                "views and flow do not belong together: connect `flow` to the node that took the same `views`".into()
-            );
-        }
+        belong_together(&views, &flow)?;
         let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
         let skipped = |pose: &ObjectPose| Look { pose: *pose, seen: f64::NEG_INFINITY, refinement: None };
         let mut looks: Vec<Look> = views.skipped.iter().map(skipped).collect();
@@ -265,23 +195,6 @@ impl Judgement {
     }
 }
 
-pub(crate) fn evidence(
-    planes: &ViewPlanes<'_>,
-    found: &PnpResult,
-    blocks_across: usize,
-    gate: &mut Gate,
-) -> Result<Evidence, NodeError> {
-    let view = GateView {
-        size_px: planes.field.size_px,
-        reference_rgb: planes.reference_rgb,
-        reference_depth_m: planes.field.depth_m,
-        crop_rgb: planes.real_rgb,
-        intrinsics: planes.field.intrinsics,
-        initial: planes.field.camera_from_object,
-    };
-    Ok(gate.evidence(&view, &found.camera_from_object, blocks_across)?)
-}
-
 fn message_status(status: PnpStatus) -> PoseStatus {
     match status {
         PnpStatus::Ok => PoseStatus::Ok,
@@ -318,31 +231,6 @@ fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
     looks.sort_by(|a, b| a.pose.identity().cmp(&b.pose.identity()).then(agreement(b).total_cmp(&agreement(a))));
     looks.dedup_by_key(|look| look.pose.identity());
     looks
-}
-
-/// View 0 of each instance: the one at the initial pose.
-pub(crate) fn planes<'a>(
-    views: &ReferenceViews<'a>,
-    flow: &FlowFields<'a>,
-    instance: usize,
-) -> Result<ViewPlanes<'a>, NodeError> {
-    let at = instance * views.header.views_per_instance as usize;
-    let (size_px, view) = (views.header.size_px as usize, &views.views[at]);
-    let area = size_px * size_px;
-    let [fx, fy, cx, cy] = view.crop_intrinsics;
-    let field = FlowField {
-        size_px,
-        depth_m: &views.depth_m[at * area..(at + 1) * area],
-        mask: &views.mask[at * area..(at + 1) * area],
-        flow_px: &flow.flow_px[at * 2 * area..(at + 1) * 2 * area],
-        certainty: (flow.header.has_certainty == 1)
-            .then(|| [0, 1].map(|plane| &flow.certainty[(2 * at + plane) * area..(2 * at + plane + 1) * area])),
-        intrinsics: Intrinsics { fx, fy, cx, cy },
-        camera_from_object: pose_from_quaternion(&view.pose.rotation_xyzw, &view.pose.translation_m)?,
-    };
-    let reference_rgb = &views.rgb[at * 3 * area..(at + 1) * 3 * area];
-    let real_rgb = &views.real_rgb[instance * 3 * area..(instance + 1) * 3 * area];
-    Ok(ViewPlanes { view, field, reference_rgb, real_rgb })
 }
 
 impl Node for PnpNode {

@@ -1,24 +1,22 @@
+mod compare;
+mod convert;
 mod table;
 
 use super::progress_bar;
-use crate::pipeline::{Finder, Frame, Pipeline, PipelineConfig};
+use crate::pipeline::{Finder, Pipeline, PipelineConfig};
 use anyhow::{Context as _, Result, bail, ensure};
-use pseudoflow_evaluator::{
-    Difference, EstimateDetails, EvalDataset, EvalImage, GateStep, NamedEstimates, Report, evaluate, load_dataset,
-    overlays,
-};
+pub(crate) use compare::{CompareArgs, compare};
+use convert::{details, estimate, frame, given};
+use pseudoflow_evaluator::{EstimateDetails, EvalDataset, EvalImage, NamedEstimates, evaluate, load_dataset, overlays};
 use pseudoflow_flow::FlowConfig;
-use pseudoflow_geometry::{pose_from_quaternion, quaternion_xyzw};
-use pseudoflow_imaging::RgbImage;
 use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_initializer::{CompareConfig, InitializerConfig};
 use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
-use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, PoseSource, PoseStatus};
+use pseudoflow_msgs::ObjectPose;
 use pseudoflow_network::ComputeDevice;
 use pseudoflow_pnp::gate::GateConfig;
-use pseudoflow_pnp::{Look, PnpNodeConfig, Refinement, Stages};
+use pseudoflow_pnp::{Look, PnpNodeConfig, Stages};
 use pseudoflow_renderer::RendererConfig;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -104,17 +102,6 @@ pub(crate) struct Args {
     /// Instead of evaluating: shows the difference of two reports and writes `compare.html` into `--report`.
     #[arg(long, num_args = 2, value_names = ["BEFORE.json", "AFTER.json"])]
     compare: Option<Vec<PathBuf>>,
-}
-
-#[derive(clap::Args)]
-pub(crate) struct CompareArgs {
-    /// The report to begin from.
-    before: PathBuf,
-    /// The report to compare with it.
-    after: PathBuf,
-    /// The HTML page to write.
-    #[arg(long, default_value = "compare.html")]
-    out: PathBuf,
 }
 
 impl Args {
@@ -370,31 +357,6 @@ fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<In
     Ok(found)
 }
 
-fn frame<'a>(image: &EvalImage, rgb: &'a RgbImage) -> Frame<'a> {
-    let k = &image.frame.intrinsics;
-    let header = CameraFrameHeader {
-        width: rgb.width(),
-        height: rgb.height(),
-        scene_id: image.scene_id,
-        image_id: image.frame.image_id,
-        intrinsics: [k.fx, k.fy, k.cx, k.cy],
-        frame_id: [0; pseudoflow_msgs::FRAME_ID_BYTES],
-    };
-    let index = u64::from(image.scene_id) << 32 | u64::from(image.frame.image_id);
-    Frame { header, rgb: rgb.as_raw(), index }
-}
-
-fn estimate(image: &EvalImage, pose: &ObjectPose) -> Result<Estimate> {
-    Ok(Estimate {
-        scene_id: image.scene_id,
-        image_id: image.frame.image_id,
-        object_id: pose.object_id,
-        score: pose.score,
-        camera_from_object: pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m)?.into(),
-        image_time_s: None,
-    })
-}
-
 /// The refined poses of an image, and what else is known of each.
 fn refine_image(
     passes: &mut [Pipeline],
@@ -414,56 +376,4 @@ fn refine_image(
     let image_time_s = Some(took.as_secs_f64());
     let estimates: Result<_> = poses.iter().map(|p| Ok(Estimate { image_time_s, ..estimate(image, p)? })).collect();
     Ok((estimates?, poses.iter().map(|pose| details(pose, &looks)).collect()))
-}
-
-/// What a pose says about itself, and the gate's decisions that led to it.
-fn details(pose: &ObjectPose, passes: &[Vec<Look>]) -> EstimateDetails {
-    let of_it = passes.iter().flatten().filter(|look| look.pose.identity() == pose.identity());
-    let steps = of_it.filter_map(|look| look.refinement.as_ref());
-    EstimateDetails {
-        confidence: Some(pose.score),
-        covariance: (pose.source == PoseSource::Refined as u32).then_some(pose.covariance),
-        gate: steps.map(gate_step).collect(),
-    }
-}
-
-fn gate_step(refinement: &Refinement) -> GateStep {
-    let known = serde_json::to_value(refinement.features.known()).and_then(serde_json::from_value);
-    let mut evidence: BTreeMap<String, f64> = known.unwrap_or_default();
-    evidence.insert("better".into(), refinement.verdict.better);
-    GateStep { before: refinement.before, after: refinement.after, accepted: refinement.accepted, evidence }
-}
-
-fn given(estimate: &Estimate, instance: u32) -> ObjectPose {
-    let pose = estimate.camera_from_object.pose();
-    ObjectPose {
-        object_id: estimate.object_id,
-        instance,
-        status: PoseStatus::Ok as u32,
-        source: PoseSource::Given as u32,
-        score: estimate.score,
-        rotation_xyzw: quaternion_xyzw(&pose),
-        translation_m: pose.translation.vector.into(),
-        covariance: [0.0; 36],
-    }
-}
-
-pub(crate) fn compare(args: &CompareArgs) -> Result<ExitCode> {
-    let (before, after) = (Report::read_json(&args.before)?, Report::read_json(&args.after)?);
-    let comparison = pseudoflow_evaluator::compare(&before, &after)?;
-    comparison.write_html(&args.out)?;
-    println!("{:8} {:20} {:>5} {:>7} {:>7} {:>8}  95 % interval", "object", "share", "n", "before", "after", "change");
-    let rows = comparison
-        .per_object
-        .iter()
-        .map(|(id, of)| (id.to_string(), of))
-        .chain([("all".to_owned(), &comparison.overall)]);
-    for (object, differences) in rows {
-        for (share, d) in differences {
-            let Difference { n, a, b, difference, low, high } = d;
-            println!("{object:8} {share:20} {n:>5} {a:>7.3} {b:>7.3} {difference:>+8.3}  {low:+.3} .. {high:+.3}");
-        }
-    }
-    println!("page: {}", args.out.display());
-    Ok(ExitCode::SUCCESS)
 }
