@@ -51,8 +51,9 @@ impl PlannedOutput {
 }
 
 impl Plan {
-    /// Resolves a graph, after checking its wiring (not the nodes' configurations).
+    /// Resolves a graph, its parameters too, after checking its wiring (not the nodes' configurations).
     pub(crate) fn new(graph: &Graph, registry: &Registry) -> Result<Self, GraphError> {
+        let graph = &graph.resolved().map_err(GraphError::Problems)?;
         crate::graph::check_wiring(graph, registry).map_err(GraphError::Problems)?;
         let wiring = Wiring::new(graph, registry);
         let nodes: Vec<_> = wiring.nodes.iter().enumerate().map(|(i, _)| wiring.plan(i)).collect();
