@@ -2,6 +2,7 @@
 //! strict types; checked against a [`Registry`](crate::Registry) before anything starts.
 
 mod check;
+mod draw;
 mod overrides;
 mod params;
 mod problem;
@@ -11,6 +12,7 @@ mod tests;
 
 pub use check::check;
 pub(crate) use check::check_wiring;
+pub use draw::mermaid;
 pub use problem::{GraphError, Problem};
 pub use schema::schema;
 
