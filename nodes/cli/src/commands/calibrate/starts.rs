@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 /// Poses as they come before a refinement, and how often each kind is drawn. A gate that only knows poses near the truth
 /// believes in whatever looks alike: it must have seen tracked poses and wrong ones too.
 const KINDS: [(f64, Start); 6] = [
-    // What a network trained on synthetic images gives (method.md), then wider.
+    // What a network trained on synthetic images gives (docs/method.md), then wider.
     (0.4, Start::Near { angle_deg: 9.0, xy_diameters: 0.03, z_diameters: 0.14 }),
     (0.15, Start::Near { angle_deg: 15.0, xy_diameters: 0.07, z_diameters: 0.2 }),
     // A second pass, or a tracked object.
