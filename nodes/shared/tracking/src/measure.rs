@@ -1,0 +1,100 @@
+//! One object in one picture: its contour, with the motion since the last frame as prior.
+
+use crate::judge::Evidence;
+use crate::tracker::KnownObject;
+use crate::{TrackingConfig, TrackingError};
+use nalgebra::Matrix6;
+use pseudoflow_contour::{Colours, Hider, Image, Prior, Refiner, Region, Task};
+use pseudoflow_geometry::Pose;
+
+/// A pose and what the picture says of it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Trial {
+    pub(crate) pose: Pose,
+    /// Inverse covariance, tangent of the solver.
+    pub(crate) information: Matrix6<f64>,
+    pub(crate) evidence: Evidence,
+    pub(crate) confidence: f64,
+}
+
+/// What a picture is measured with. Holds its working memory.
+#[derive(Debug, Clone)]
+pub(crate) struct Eye {
+    near: Refiner,
+    far: Refiner,
+    frame_s: f64,
+}
+
+/// An object to be measured.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Subject<'a> {
+    pub(crate) image: Image<'a>,
+    pub(crate) object: &'a KnownObject,
+    pub(crate) hiders: &'a [Hider<'a>],
+    /// Time since the last frame, seconds.
+    pub(crate) gap_s: f64,
+}
+
+impl Eye {
+    pub(crate) fn new(config: &TrackingConfig) -> Result<Self, TrackingError> {
+        let (near, far) = (Refiner::new(config.region.clone())?, Refiner::new(config.first.clone())?);
+        Ok(Self { near, far, frame_s: config.frame_s })
+    }
+
+    /// From a prediction, with the colours of the frames before.
+    pub(crate) fn follow(&mut self, subject: &Subject<'_>, start: &Pose, colours: &mut Colours) -> Trial {
+        let prior = self.prior(subject, start);
+        let task = subject.task(&prior);
+        let region = self.near.follow(&task, start, colours, None);
+        subject.trial(&region)
+    }
+
+    /// From a pose that may be further off, with colours of its own.
+    pub(crate) fn find(&mut self, subject: &Subject<'_>, start: &Pose) -> Trial {
+        let prior = self.far.prior(start, &subject.object.contour, subject.object.diameter_m);
+        let region = self.far.refine(&subject.task(&prior), &[*start], None);
+        subject.trial(&region)
+    }
+
+    /// Learns colours at a pose that is believed.
+    pub(crate) fn learn(&mut self, subject: &Subject<'_>, pose: &Pose, colours: &mut Colours, renewal: f32) {
+        let prior = self.prior(subject, pose);
+        let task = subject.task(&prior);
+        if self.near.look_at(&task).is_ok() {
+            self.near.learn(&task, pose, colours, renewal);
+        }
+    }
+
+    /// The prior of a prediction: its spread grows with the root of the time since the last frame.
+    fn prior(&self, subject: &Subject<'_>, at: &Pose) -> Prior {
+        let mut prior = self.near.prior(at, &subject.object.contour, subject.object.diameter_m);
+        let narrower = (self.frame_s / subject.gap_s.max(1e-3)).clamp(0.01, 1.0);
+        prior.information.iter_mut().for_each(|i| *i *= narrower);
+        prior
+    }
+}
+
+impl<'a> Subject<'a> {
+    fn task<'b>(&'b self, prior: &'b Prior) -> Task<'b>
+    where
+        'a: 'b,
+    {
+        Task { image: self.image, model: &self.object.contour, prior, hiders: self.hiders }
+    }
+
+    fn trial(&self, region: &Region) -> Trial {
+        let points = self.object.contour.view(&region.camera_from_object).len().max(1);
+        let evidence = Evidence {
+            agreement: region.agreement,
+            lines: region.lines as f64 / points as f64,
+            overlap: f64::from(region.overlap),
+            ..Evidence::default()
+        };
+        Trial {
+            pose: region.camera_from_object,
+            information: region.information,
+            evidence,
+            confidence: if region.status.is_ok() { evidence.confidence() } else { 0.0 },
+        }
+    }
+}
