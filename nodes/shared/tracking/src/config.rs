@@ -3,6 +3,28 @@ use pseudoflow_contour::{PriorConfig, RegionConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// What texture is worth.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TextureConfig {
+    /// Smallest and largest standard deviation of a coordinate of a patch's place, pixels of the image.
+    pub sigma_px: [f64; 2],
+    /// Independent errors for each patch: those of one keyframe share its pose's.
+    pub share: f64,
+    /// How far a patch may be from its prediction in `frame_s`, diameters of the object.
+    pub reach: f64,
+    /// A view that differs by more from all keyframes makes another, degrees.
+    pub keyframe_deg: f64,
+    /// Keyframes kept of an object; 0 follows contours alone.
+    pub keyframes: usize,
+}
+
+impl Default for TextureConfig {
+    fn default() -> Self {
+        Self { sigma_px: [0.7, 4.0], share: 0.3, reach: 0.08, keyframe_deg: 15.0, keyframes: 4 }
+    }
+}
+
 /// Settings of a tracker. Chosen on tabletop's train split and on rendered sequences.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -11,6 +33,8 @@ pub struct TrackingConfig {
     pub region: RegionConfig,
     /// The contour of what was found or looked at: further away, with colours of its own.
     pub first: RegionConfig,
+    /// Texture.
+    pub texture: TextureConfig,
     /// Seconds between frames that the prior of `region` is meant for; it grows with the root of the gap.
     pub frame_s: f64,
     /// Share of the measured velocity that the prediction believes, 0..1.
@@ -43,6 +67,7 @@ impl Default for TrackingConfig {
         Self {
             region: RegionConfig { scales_px: vec![4.0, 2.0, 1.0], edges: 2, prior, ..RegionConfig::default() },
             first: RegionConfig::default(),
+            texture: TextureConfig::default(),
             frame_s: 1.0 / 30.0,
             velocity_gain: 0.7,
             longest_gap_s: 0.5,
@@ -69,6 +94,16 @@ impl TrackingConfig {
         self.first.validate()?;
         let share = |v: f64| (0.0..=1.0).contains(&v);
         let checks = [
+            ("texture.sigma_px", self.texture.sigma_px[0], self.texture.sigma_px[0] > 0.0, "positive"),
+            (
+                "texture.sigma_px",
+                self.texture.sigma_px[1],
+                self.texture.sigma_px[1] >= self.texture.sigma_px[0],
+                "growing",
+            ),
+            ("texture.share", self.texture.share, self.texture.share > 0.0, "positive"),
+            ("texture.reach", self.texture.reach, self.texture.reach > 0.0, "positive"),
+            ("texture.keyframe_deg", self.texture.keyframe_deg, self.texture.keyframe_deg > 0.0, "positive"),
             ("frame_s", self.frame_s, self.frame_s > 0.0, "positive"),
             ("velocity_gain", self.velocity_gain, share(self.velocity_gain), "0 to 1"),
             ("longest_gap_s", self.longest_gap_s, self.longest_gap_s > 0.0, "positive"),

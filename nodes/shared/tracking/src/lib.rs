@@ -18,10 +18,11 @@ mod judge;
 mod looks;
 mod measure;
 mod rest;
+mod texture;
 mod track;
 mod tracker;
 
-pub use config::TrackingConfig;
+pub use config::{TextureConfig, TrackingConfig};
 pub use error::TrackingError;
 pub use judge::Evidence;
 pub use looks::Look;

@@ -2,6 +2,7 @@
 
 use crate::history::{History, Velocity};
 use crate::judge::Evidence;
+use crate::texture::Keyframe;
 use nalgebra::Matrix6;
 use pseudoflow_contour::Colours;
 use pseudoflow_geometry::Pose;
@@ -32,6 +33,9 @@ pub(crate) struct Track {
     pub(crate) covariance: Matrix6<f64>,
     pub(crate) velocity: Velocity,
     pub(crate) colours: Colours,
+    pub(crate) keyframes: Vec<Keyframe>,
+    /// No keyframe is tried before this frame.
+    pub(crate) texture_from: u64,
     pub(crate) history: History,
     /// When it was last measured, and how often in a row.
     pub(crate) seen_ns: i64,
@@ -63,6 +67,8 @@ impl Track {
             covariance: Matrix6::zeros(),
             velocity: Velocity::default(),
             colours: Colours::default(),
+            keyframes: Vec::new(),
+            texture_from: 0,
             history: History::default(),
             seen_ns: 0,
             good: 0,

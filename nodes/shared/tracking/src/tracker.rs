@@ -1,13 +1,16 @@
+use crate::config::TextureConfig;
 use crate::history::Moment;
 use crate::judge::Evidence;
 use crate::looks::{self, Look};
-use crate::measure::{Eye, Subject, Trial};
+use crate::measure::{Eye, Subject, Trial, apart, nearest};
 use crate::rest::{Common, common_motion};
+use crate::texture::{Maker, Pyramid};
 use crate::track::{Phase, Track};
 use crate::{TrackingConfig, TrackingError};
 use nalgebra::Matrix6;
 use pseudoflow_contour::{ContourModel, Hider, Image};
 use pseudoflow_geometry::{Intrinsics, Pose};
+use pseudoflow_imaging::raster::Item;
 use pseudoflow_imaging::{Mesh, RgbImage};
 use std::sync::Arc;
 
@@ -92,13 +95,22 @@ pub enum FrameProblem {
     OutOfOrder,
 }
 
+/// A frame with what is made of it once for all objects.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Now<'a> {
+    frame: Frame<'a>,
+    pyramid: &'a Arc<Pyramid>,
+    gap_s: f64,
+}
+
 /// Follows objects from frame to frame.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Tracker {
     pub(crate) config: TrackingConfig,
     pub(crate) objects: Vec<KnownObject>,
     pub(crate) tracks: Vec<Track>,
     eye: Eye,
+    maker: Maker,
     last: Option<(u64, i64)>,
 }
 
@@ -113,7 +125,7 @@ impl Tracker {
             return Err(TrackingError::NoObject);
         }
         let tracks = (0..objects.len()).map(Track::new).collect();
-        Ok(Self { eye: Eye::new(&config)?, config, objects, tracks, last: None })
+        Ok(Self { eye: Eye::new(&config)?, maker: Maker::default(), config, objects, tracks, last: None })
     }
 
     /// Follows all objects into a frame, with what others have found in earlier ones.
@@ -122,15 +134,46 @@ impl Tracker {
     /// [`FrameProblem`] when the frame cannot be used; nothing has changed then.
     pub fn step(&mut self, frame: &Frame<'_>, corrections: &[Correction]) -> Result<Vec<Estimate>, FrameProblem> {
         let gap_s = self.gap_s(frame)?;
+        let pyramid = Arc::new(Pyramid::new(frame.rgb));
+        let now = &Now { frame: *frame, pyramid: &pyramid, gap_s };
         let predicted: Vec<Pose> = self.tracks.iter().map(|t| self.predict(t, gap_s)).collect();
-        let mut trials = self.measure_all(frame, gap_s, &predicted, corrections);
+        let mut trials = self.measure_all(now, &predicted, corrections);
         let common = self.common(&trials, &predicted, frame);
-        self.measure_at_rest(frame, gap_s, &mut trials, common.as_ref());
+        self.measure_at_rest(now, &mut trials, common.as_ref());
         for i in 0..self.tracks.len() {
-            self.settle(i, frame, gap_s, &predicted[i], &trials);
+            self.settle(i, now, &predicted[i], &trials);
         }
+        self.remember_texture(now);
         self.last = Some((frame.index, frame.stamp_ns));
         Ok(self.estimates())
+    }
+
+    /// Makes a keyframe of the object that needs one most; one a frame, so that no frame takes long.
+    fn remember_texture(&mut self, now: &Now<'_>) {
+        let TextureConfig { keyframes, keyframe_deg, .. } = self.config.texture;
+        let newness = |t: &Track| match t.measured && t.confidence >= self.config.sure_confidence && keyframes > 0 {
+            true => nearest(&t.keyframes, &t.pose).map_or(f64::INFINITY, |k| apart(k, &t.pose).to_degrees()),
+            false => 0.0,
+        };
+        let ranked = (0..self.tracks.len()).map(|i| (newness(&self.tracks[i]), i));
+        let due = ranked.filter(|(n, i)| *n > keyframe_deg && now.frame.index >= self.tracks[*i].texture_from);
+        let Some((_, i)) = due.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))) else { return };
+        let item = |t: &Track| Item { mesh: &self.objects[t.object].mesh, camera_from_object: t.pose };
+        let others = self.tracks.iter().enumerate().filter(|(j, t)| *j != i && t.known && t.phase == Phase::Tracking);
+        let items: Vec<Item<'_>> = std::iter::once(item(&self.tracks[i])).chain(others.map(|(_, t)| item(t))).collect();
+        let made = self.maker.make(now.pyramid, &items, &now.frame.intrinsics);
+        let track = &mut self.tracks[i];
+        match made {
+            Some(keyframe) => track.keyframes.push(keyframe),
+            // Too plain, or too small: not tried again in every frame.
+            None => track.texture_from = now.frame.index + 30,
+        }
+        if track.keyframes.len() > keyframes {
+            let pose = track.pose;
+            let farthest = (0..keyframes)
+                .max_by(|a, b| apart(&track.keyframes[*a], &pose).total_cmp(&apart(&track.keyframes[*b], &pose)));
+            track.keyframes.remove(farthest.unwrap_or(0));
+        }
     }
 
     fn gap_s(&mut self, frame: &Frame<'_>) -> Result<f64, FrameProblem> {
@@ -150,18 +193,12 @@ impl Tracker {
     }
 
     /// Measures every known object, nearer ones first, since they hide those behind.
-    fn measure_all(
-        &mut self,
-        frame: &Frame<'_>,
-        gap_s: f64,
-        predicted: &[Pose],
-        corrections: &[Correction],
-    ) -> Vec<Option<Trial>> {
+    fn measure_all(&mut self, now: &Now<'_>, predicted: &[Pose], corrections: &[Correction]) -> Vec<Option<Trial>> {
         let mut poses = predicted.to_vec();
         let mut trials = vec![None; self.tracks.len()];
         for i in self.by_depth(predicted) {
-            let own = self.tracks[i].known.then(|| self.follow(i, frame, gap_s, &predicted[i], &poses));
-            let trial = self.correct(i, frame, gap_s, own, (predicted, corrections), &poses);
+            let own = self.tracks[i].known.then(|| self.follow(i, now, &predicted[i], &poses));
+            let trial = self.correct(i, now, own, (predicted, corrections), &poses);
             if let Some(trial) = trial.filter(|t| t.confidence >= self.config.min_confidence) {
                 poses[i] = trial.pose;
             }
@@ -176,14 +213,14 @@ impl Tracker {
         order
     }
 
-    fn follow(&mut self, i: usize, frame: &Frame<'_>, gap_s: f64, start: &Pose, poses: &[Pose]) -> Trial {
+    fn follow(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
         let mut colours = std::mem::take(&mut self.tracks[i].colours);
         let Self { eye, objects, tracks, .. } = self;
         let hiders = hiders(objects, tracks, i, poses);
-        let subject = subject(frame, &objects[tracks[i].object], &hiders, gap_s);
+        let subject = subject(now, &objects[tracks[i].object], &hiders);
         let trial = match colours.is_empty() {
             true => eye.find(&subject, start),
-            false => eye.follow(&subject, start, &mut colours),
+            false => eye.follow(&subject, start, &mut colours, &tracks[i].keyframes),
         };
         self.tracks[i].colours = colours;
         trial
@@ -193,8 +230,7 @@ impl Tracker {
     fn correct(
         &mut self,
         i: usize,
-        frame: &Frame<'_>,
-        gap_s: f64,
+        now: &Now<'_>,
         own: Option<Trial>,
         (predicted, corrections): (&[Pose], &[Correction]),
         poses: &[Pose],
@@ -202,16 +238,16 @@ impl Tracker {
         let id = self.objects[self.tracks[i].object].id;
         let mut best = own;
         for correction in corrections.iter().filter(|c| c.object_id == id) {
-            let start = self.carried(i, correction, predicted, &frame.intrinsics);
+            let start = self.carried(i, correction, predicted, &now.frame.intrinsics);
             let look = matches!(correction.kind, CorrectionKind::Look { .. });
             if look {
                 self.tracks[i].asked_ns = None;
             }
             let Some(own) = best.filter(|_| self.tracks[i].known) else {
-                best = Some(self.begin(i, frame, &start, poses));
+                best = Some(self.begin(i, now, &start, poses));
                 continue;
             };
-            let trial = self.try_at(i, frame, gap_s, &start, poses);
+            let trial = self.try_at(i, now, &start, poses);
             if self.near(i, &own.pose, &trial.pose) {
                 continue;
             }
@@ -219,35 +255,35 @@ impl Tracker {
                 self.jump(i, &trial);
                 best = Some(trial);
             } else if correction.kind == CorrectionKind::Found && self.tracks[i].phase != Phase::Tracking {
-                best = Some(self.begin(i, frame, &start, poses));
+                best = Some(self.begin(i, now, &start, poses));
             }
         }
         best
     }
 
     /// A pose that others have found, in this frame.
-    fn try_at(&mut self, i: usize, frame: &Frame<'_>, gap_s: f64, start: &Pose, poses: &[Pose]) -> Trial {
+    fn try_at(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
         match self.tracks[i].measured {
-            true => self.follow(i, frame, gap_s, start, poses),
+            true => self.follow(i, now, start, poses),
             false => {
                 let Self { eye, objects, tracks, .. } = self;
                 let hiders = hiders(objects, tracks, i, poses);
-                eye.find(&subject(frame, &objects[tracks[i].object], &hiders, gap_s), start)
+                eye.find(&subject(now, &objects[tracks[i].object], &hiders), start)
             }
         }
     }
 
     /// Begins a track anew at a rough pose.
-    fn begin(&mut self, i: usize, frame: &Frame<'_>, start: &Pose, poses: &[Pose]) -> Trial {
+    fn begin(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
         let trial = {
             let Self { eye, objects, tracks, .. } = self;
             let hiders = hiders(objects, tracks, i, poses);
-            eye.find(&subject(frame, &objects[tracks[i].object], &hiders, self.config.frame_s), start)
+            eye.find(&subject(now, &objects[tracks[i].object], &hiders), start)
         };
         let track = &mut self.tracks[i];
         let phase = track.phase;
         *track = Track::new(track.object);
-        (track.phase, track.known, track.pose, track.seen_ns) = (phase, true, trial.pose, frame.stamp_ns);
+        (track.phase, track.known, track.pose, track.seen_ns) = (phase, true, trial.pose, now.frame.stamp_ns);
         trial
     }
 
@@ -257,6 +293,7 @@ impl Tracker {
         track.history.correct(&(track.pose.inverse() * to.pose));
         track.velocity.slow(0.0);
         track.colours = Default::default();
+        track.keyframes.clear();
         track.jumped = true;
     }
 
@@ -272,29 +309,23 @@ impl Tracker {
     }
 
     /// Counts who is at rest, and looks for what is not sure where those at rest say that it is.
-    fn measure_at_rest(
-        &mut self,
-        frame: &Frame<'_>,
-        gap_s: f64,
-        trials: &mut [Option<Trial>],
-        common: Option<&(Common, Vec<usize>)>,
-    ) {
+    fn measure_at_rest(&mut self, now: &Now<'_>, trials: &mut [Option<Trial>], common: Option<&(Common, Vec<usize>)>) {
         let Some((common, places)) = common else { return };
         for (member, i) in common.members.iter().zip(places) {
             self.tracks[*i].at_rest = if *member { self.tracks[*i].at_rest + 1 } else { 0 };
         }
-        let now: Vec<Pose> = poses_of(trials, &self.tracks.iter().map(|t| t.pose).collect::<Vec<_>>());
+        let poses: Vec<Pose> = poses_of(trials, &self.tracks.iter().map(|t| t.pose).collect::<Vec<_>>());
         let sure: Vec<bool> =
-            (0..now.len()).map(|i| common.members.iter().zip(places).any(|(m, p)| *p == i && *m)).collect();
+            (0..poses.len()).map(|i| common.members.iter().zip(places).any(|(m, p)| *p == i && *m)).collect();
         for i in 0..self.tracks.len() {
             let unsure = trials[i].is_some_and(|t| t.confidence < self.config.sure_confidence);
             self.tracks[i].resting = None;
             if !(unsure && self.tracks[i].at_rest >= REST_FRAMES) {
                 continue;
             }
-            let Some(there) = self.resting_pose(i, &now, &sure, &frame.intrinsics) else { continue };
+            let Some(there) = self.resting_pose(i, &poses, &sure, &now.frame.intrinsics) else { continue };
             self.tracks[i].resting = Some(there);
-            let trial = self.follow(i, frame, gap_s, &there, &now);
+            let trial = self.follow(i, now, &there, &poses);
             if trials[i].is_none_or(|own| trial.confidence >= own.confidence - REST_BONUS) {
                 trials[i] = Some(trial);
             }
@@ -313,27 +344,27 @@ impl Tracker {
     }
 
     /// Takes a measured pose over, or holds the object where it is believed to be.
-    fn settle(&mut self, i: usize, frame: &Frame<'_>, gap_s: f64, predicted: &Pose, trials: &[Option<Trial>]) {
+    fn settle(&mut self, i: usize, now: &Now<'_>, predicted: &Pose, trials: &[Option<Trial>]) {
         let Some(trial) = trials[i].filter(|_| self.tracks[i].known) else { return };
         let believed = trial.confidence >= self.config.min_confidence;
         self.tracks[i].evidence = trial.evidence;
         match believed {
-            true => self.take(i, frame, gap_s, &trial, trials),
-            false => self.hold(i, frame, gap_s, predicted),
+            true => self.take(i, now, &trial, trials),
+            false => self.hold(i, now, predicted),
         }
         let track = &mut self.tracks[i];
         track.confidence = trial.confidence;
-        track.history.push(Moment { frame: frame.index, pose: track.pose, measured: track.measured });
+        track.history.push(Moment { frame: now.frame.index, pose: track.pose, measured: track.measured });
         track.jumped = false;
     }
 
-    fn take(&mut self, i: usize, frame: &Frame<'_>, gap_s: f64, trial: &Trial, trials: &[Option<Trial>]) {
+    fn take(&mut self, i: usize, now: &Now<'_>, trial: &Trial, trials: &[Option<Trial>]) {
         let sure = trial.confidence >= self.config.sure_confidence;
         let track = &mut self.tracks[i];
         if track.measured && !track.jumped && track.good > 0 {
-            track.velocity.learn(&track.pose, &trial.pose, gap_s, self.config.velocity_gain);
+            track.velocity.learn(&track.pose, &trial.pose, now.gap_s, self.config.velocity_gain);
         }
-        (track.pose, track.measured, track.seen_ns) = (trial.pose, true, frame.stamp_ns);
+        (track.pose, track.measured, track.seen_ns) = (trial.pose, true, now.frame.stamp_ns);
         (track.good, track.bad) = (track.good + 1, 0);
         track.covariance = inverse(&trial.information) * self.config.covariance_scale;
         if track.phase == Phase::Tracking || track.good >= CONFIRM_FRAMES {
@@ -344,13 +375,14 @@ impl Tracker {
             let mut colours = std::mem::take(&mut self.tracks[i].colours);
             let Self { eye, objects, tracks, config, .. } = self;
             let hiders = hiders(objects, tracks, i, &poses);
-            let subject = subject(frame, &objects[tracks[i].object], &hiders, gap_s);
+            let subject = subject(now, &objects[tracks[i].object], &hiders);
             eye.learn(&subject, &trial.pose, &mut colours, config.renewal);
             self.tracks[i].colours = colours;
         }
     }
 
-    fn hold(&mut self, i: usize, frame: &Frame<'_>, gap_s: f64, predicted: &Pose) {
+    fn hold(&mut self, i: usize, now: &Now<'_>, predicted: &Pose) {
+        let gap_s = now.gap_s;
         let (hold_s, frame_s) = (self.config.hold_s, self.config.frame_s);
         let diameter_m = self.objects[self.tracks[i].object].diameter_m;
         let track = &mut self.tracks[i];
@@ -359,7 +391,7 @@ impl Tracker {
         track.velocity.slow(SLOWING.powf(gap_s / frame_s));
         track.covariance += spread_per_s(diameter_m) * gap_s;
         let hold_s = if track.resting.is_some() { hold_s * REST_PATIENCE } else { hold_s };
-        if track.phase == Phase::Tracking && track.unseen_s(frame.stamp_ns) > hold_s {
+        if track.phase == Phase::Tracking && track.unseen_s(now.frame.stamp_ns) > hold_s {
             track.phase = Phase::Lost;
         }
     }
@@ -432,6 +464,7 @@ fn hiders<'a>(objects: &'a [KnownObject], tracks: &[Track], i: usize, poses: &[P
     others.map(|j| Hider { model: &objects[tracks[j].object].contour, camera_from_object: poses[j] }).collect()
 }
 
-fn subject<'a>(frame: &Frame<'a>, object: &'a KnownObject, hiders: &'a [Hider<'a>], gap_s: f64) -> Subject<'a> {
-    Subject { image: Image { rgb: frame.rgb, intrinsics: frame.intrinsics }, object, hiders, gap_s }
+fn subject<'a>(now: &Now<'a>, object: &'a KnownObject, hiders: &'a [Hider<'a>]) -> Subject<'a> {
+    let image = Image { rgb: now.frame.rgb, intrinsics: now.frame.intrinsics };
+    Subject { image, object, hiders, pyramid: now.pyramid, gap_s: now.gap_s }
 }
