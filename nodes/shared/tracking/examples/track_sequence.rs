@@ -106,7 +106,7 @@ fn main() {
         let stamp_ns = (f64::from(frame.image_id) / hz * 1e9) as i64 + 1_000_000_000;
         let before = cpu_ms();
         let seen = Frame { index: index as u64, stamp_ns, rgb: &image, intrinsics: frame.intrinsics };
-        let estimates = tracker.step(&seen, &corrections).unwrap();
+        let estimates = tracker.step(&seen, &corrections).estimates;
         let wanted = tracker.ask();
         spent_ms += cpu_ms() - before;
         frames += 1;

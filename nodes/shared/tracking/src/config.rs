@@ -55,6 +55,10 @@ pub struct TrackingConfig {
     pub look_again_s: f64,
     /// A look that has not come back after this is given up, seconds.
     pub look_timeout_s: f64,
+    /// CPU time that looks may take, milliseconds a frame in the mean.
+    pub budget_ms: f64,
+    /// CPU time that one look takes, milliseconds.
+    pub look_ms: f64,
     /// Looks that may be on their way at a time.
     pub looks_at_once: usize,
     /// Covariances are those of the normal equations times this.
@@ -78,7 +82,9 @@ impl Default for TrackingConfig {
             look_every_s: 1.0,
             look_again_s: 0.2,
             look_timeout_s: 1.0,
-            looks_at_once: 1,
+            budget_ms: 20.0,
+            look_ms: 60.0,
+            looks_at_once: 2,
             covariance_scale: 1.0,
         }
     }
@@ -114,6 +120,8 @@ impl TrackingConfig {
             ("look_every_s", self.look_every_s, self.look_every_s > 0.0, "positive"),
             ("look_again_s", self.look_again_s, self.look_again_s > 0.0, "positive"),
             ("look_timeout_s", self.look_timeout_s, self.look_timeout_s > 0.0, "positive"),
+            ("budget_ms", self.budget_ms, self.budget_ms >= 0.0, "0 or more"),
+            ("look_ms", self.look_ms, self.look_ms > 0.0, "positive"),
             ("covariance_scale", self.covariance_scale, self.covariance_scale > 0.0, "positive"),
         ];
         match checks.into_iter().find(|(_, value, good, _)| !good || !value.is_finite()) {

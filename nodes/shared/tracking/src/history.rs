@@ -43,10 +43,6 @@ impl History {
     pub(crate) fn correct(&mut self, object_from_corrected: &Pose) {
         self.0.iter_mut().for_each(|m| m.pose *= object_from_corrected);
     }
-
-    pub(crate) fn clear(&mut self) {
-        self.0.clear();
-    }
 }
 
 /// Motion of an object in its own frame: as it moved between two frames, it will move on.

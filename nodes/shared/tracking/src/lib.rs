@@ -27,4 +27,4 @@ pub use error::TrackingError;
 pub use judge::Evidence;
 pub use looks::Look;
 pub use track::Phase;
-pub use tracker::{Correction, CorrectionKind, Estimate, Frame, FrameProblem, KnownObject, Tracker};
+pub use tracker::{Correction, CorrectionKind, Estimate, Frame, FrameProblem, KnownObject, Step, Tracker};

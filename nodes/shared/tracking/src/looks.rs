@@ -13,6 +13,27 @@ pub struct Look {
     pub camera_from_object: Pose,
 }
 
+/// What looks may cost: each frame earns some, each look costs some.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Budget {
+    saved_ms: f64,
+}
+
+impl Budget {
+    pub(crate) fn earn(&mut self, config: &TrackingConfig) {
+        let most_ms = config.budget_ms.max(config.look_ms);
+        self.saved_ms = (self.saved_ms + config.budget_ms).min(most_ms);
+    }
+
+    /// As many of the wanted looks as can be paid.
+    pub(crate) fn spend(&mut self, mut wanted: Vec<usize>, config: &TrackingConfig) -> Vec<usize> {
+        let affordable = (self.saved_ms / config.look_ms + 1e-9) as usize;
+        wanted.truncate(affordable);
+        self.saved_ms -= wanted.len() as f64 * config.look_ms;
+        wanted
+    }
+}
+
 /// The tracks to be looked at in this frame, the most urgent first.
 pub(crate) fn wanted(tracks: &[Track], now_ns: i64, config: &TrackingConfig) -> Vec<usize> {
     let since = |ns: Option<i64>| ns.map_or(f64::INFINITY, |ns| (now_ns - ns) as f64 * 1e-9);

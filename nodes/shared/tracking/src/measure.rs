@@ -19,6 +19,13 @@ pub(crate) struct Trial {
     pub(crate) confidence: f64,
 }
 
+impl Trial {
+    /// A prediction that no picture speaks for.
+    pub(crate) fn blind(pose: Pose) -> Self {
+        Self { pose, information: Matrix6::zeros(), evidence: Evidence::default(), confidence: 0.0 }
+    }
+}
+
 /// What a picture is measured with. Holds its working memory.
 #[derive(Debug, Clone)]
 pub(crate) struct Eye {

@@ -1,7 +1,7 @@
 use crate::config::TextureConfig;
 use crate::history::Moment;
 use crate::judge::Evidence;
-use crate::looks::{self, Look};
+use crate::looks::{self, Budget, Look};
 use crate::measure::{Eye, Subject, Trial, apart, nearest};
 use crate::rest::{Common, common_motion};
 use crate::texture::{Maker, Pyramid};
@@ -12,6 +12,7 @@ use pseudoflow_contour::{ContourModel, Hider, Image};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::raster::Item;
 use pseudoflow_imaging::{Mesh, RgbImage};
+use std::fmt;
 use std::sync::Arc;
 
 /// An object that can be followed.
@@ -93,6 +94,26 @@ pub struct Estimate {
 pub enum FrameProblem {
     /// Its time is not after that of the frame before.
     OutOfOrder,
+    /// It is black, or of one colour.
+    Dark,
+}
+
+impl fmt::Display for FrameProblem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::OutOfOrder => "older than one before it: not used",
+            Self::Dark => "black or of one colour: objects are held where they are believed to be",
+        })
+    }
+}
+
+/// What became of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// Every object that was ever found; none when the frame is out of order.
+    pub estimates: Vec<Estimate>,
+    /// Why the frame could not be used.
+    pub problem: Option<FrameProblem>,
 }
 
 /// A frame with what is made of it once for all objects.
@@ -112,6 +133,8 @@ pub struct Tracker {
     eye: Eye,
     maker: Maker,
     last: Option<(u64, i64)>,
+    camera: Option<((u32, u32), Intrinsics)>,
+    budget: Budget,
 }
 
 impl Tracker {
@@ -125,27 +148,58 @@ impl Tracker {
             return Err(TrackingError::NoObject);
         }
         let tracks = (0..objects.len()).map(Track::new).collect();
-        Ok(Self { eye: Eye::new(&config)?, maker: Maker::default(), config, objects, tracks, last: None })
+        Ok(Self {
+            eye: Eye::new(&config)?,
+            maker: Maker::default(),
+            config,
+            objects,
+            tracks,
+            last: None,
+            camera: None,
+            budget: Budget::default(),
+        })
     }
 
     /// Follows all objects into a frame, with what others have found in earlier ones.
-    ///
-    /// # Errors
-    /// [`FrameProblem`] when the frame cannot be used; nothing has changed then.
-    pub fn step(&mut self, frame: &Frame<'_>, corrections: &[Correction]) -> Result<Vec<Estimate>, FrameProblem> {
-        let gap_s = self.gap_s(frame)?;
+    pub fn step(&mut self, frame: &Frame<'_>, corrections: &[Correction]) -> Step {
+        let Some(gap_s) = self.gap_s(frame) else {
+            return Step { estimates: Vec::new(), problem: Some(FrameProblem::OutOfOrder) };
+        };
+        self.meet_camera(frame);
         let pyramid = Arc::new(Pyramid::new(frame.rgb));
+        let dark = pyramid.brightness().1 < DARK_SPREAD;
         let now = &Now { frame: *frame, pyramid: &pyramid, gap_s };
         let predicted: Vec<Pose> = self.tracks.iter().map(|t| self.predict(t, gap_s)).collect();
-        let mut trials = self.measure_all(now, &predicted, corrections);
-        let common = self.common(&trials, &predicted, frame);
-        self.measure_at_rest(now, &mut trials, common.as_ref());
+        let trials = match dark {
+            true => self.tracks.iter().zip(&predicted).map(|(t, p)| t.known.then(|| Trial::blind(*p))).collect(),
+            false => self.measure(now, &predicted, corrections),
+        };
         for i in 0..self.tracks.len() {
             self.settle(i, now, &predicted[i], &trials);
         }
-        self.remember_texture(now);
+        if !dark {
+            self.remember_texture(now);
+        }
         self.last = Some((frame.index, frame.stamp_ns));
-        Ok(self.estimates())
+        self.budget.earn(&self.config);
+        Step { estimates: self.estimates(), problem: dark.then_some(FrameProblem::Dark) }
+    }
+
+    fn measure(&mut self, now: &Now<'_>, predicted: &[Pose], corrections: &[Correction]) -> Vec<Option<Trial>> {
+        let mut trials = self.measure_all(now, predicted, corrections);
+        let common = self.common(&trials, predicted, &now.frame);
+        self.measure_at_rest(now, &mut trials, common.as_ref());
+        trials
+    }
+
+    /// Patches belong to the camera that took them.
+    fn meet_camera(&mut self, frame: &Frame<'_>) {
+        let camera = (frame.rgb.dimensions(), frame.intrinsics);
+        if self.camera.is_some_and(|before| before != camera) {
+            log::info!("the camera has changed to {camera:?}: textures are learnt anew");
+            self.tracks.iter_mut().for_each(|t| t.keyframes.clear());
+        }
+        self.camera = Some(camera);
     }
 
     /// Makes a keyframe of the object that needs one most; one a frame, so that no frame takes long.
@@ -176,16 +230,20 @@ impl Tracker {
         }
     }
 
-    fn gap_s(&mut self, frame: &Frame<'_>) -> Result<f64, FrameProblem> {
-        let Some((_, stamp_ns)) = self.last else { return Ok(self.config.frame_s) };
+    /// Time since the last frame; `None` for a frame that is older by a little. After a jump back time begins anew.
+    fn gap_s(&mut self, frame: &Frame<'_>) -> Option<f64> {
+        let Some((_, stamp_ns)) = self.last else { return Some(self.config.frame_s) };
         let gap_s = (frame.stamp_ns - stamp_ns) as f64 * 1e-9;
-        if gap_s <= 0.0 {
-            return Err(FrameProblem::OutOfOrder);
+        if gap_s.abs() <= self.config.longest_gap_s {
+            return (gap_s > 0.0).then_some(gap_s);
         }
-        if gap_s > self.config.longest_gap_s {
-            self.tracks.iter_mut().for_each(|t| t.velocity.slow(0.0));
+        for track in &mut self.tracks {
+            track.velocity.slow(0.0);
+            if gap_s < 0.0 {
+                (track.asked_ns, track.looked_ns, track.seen_ns) = (None, None, frame.stamp_ns);
+            }
         }
-        Ok(gap_s)
+        Some(gap_s.abs())
     }
 
     fn predict(&self, track: &Track, gap_s: f64) -> Pose {
@@ -399,7 +457,7 @@ impl Tracker {
     /// The looks that are wanted of a network at the last frame; they count as asked for.
     pub fn ask(&mut self) -> Vec<Look> {
         let Some((_, now_ns)) = self.last else { return Vec::new() };
-        let wanted = looks::wanted(&self.tracks, now_ns, &self.config);
+        let wanted = self.budget.spend(looks::wanted(&self.tracks, now_ns, &self.config), &self.config);
         let ask = |i: usize| {
             let track = &mut self.tracks[i];
             (track.asked_ns, track.looked_ns) = (Some(now_ns), Some(now_ns));
@@ -432,6 +490,8 @@ impl Tracker {
     }
 }
 
+/// A picture whose brightness has a smaller standard deviation shows nothing, grey levels.
+const DARK_SPREAD: f32 = 2.0;
 /// Frames over which rest is judged, and for how many it must last.
 const BASELINE: u64 = 6;
 const REST_FRAMES: u32 = 5;

@@ -10,4 +10,4 @@ mod term;
 
 pub(crate) use keyframe::{Keyframe, Maker};
 pub(crate) use pyramid::Pyramid;
-pub(crate) use term::{Match, TextureTerm, matches};
+pub(crate) use term::{TextureTerm, matches};
