@@ -57,6 +57,7 @@ fn registry() -> Registry {
     Registry::new()
         .with::<pseudoflow_player::PlayerNode>()
         .with::<pseudoflow_initializer::InitializerNode>()
+        .with::<pseudoflow_tracker::TrackerNode>()
         .with::<pseudoflow_renderer::RendererNode>()
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_consistency::ConsistencyNode>()
