@@ -23,13 +23,13 @@ pub(super) struct Delivery {
 struct Waiting {
     /// By frame: a place for each input, open where nothing has come or the input is not joined.
     frames: BTreeMap<u64, Vec<Option<Sent>>>,
-    /// The newest message of each input that is not joined.
-    latest: Vec<Option<Sent>>,
+    /// Of each input that is not joined: the newest message, or all that no frame has had yet.
+    latest: Vec<Vec<Sent>>,
 }
 
 impl Delivery {
     pub(super) fn new(plan: &Plan) -> Self {
-        let waiting = |node: &PlannedNode| Waiting { latest: vec![None; node.inputs.len()], ..Waiting::default() };
+        let waiting = |node: &PlannedNode| Waiting { latest: vec![Vec::new(); node.inputs.len()], ..Waiting::default() };
         Self { nodes: plan.nodes.iter().map(waiting).collect() }
     }
 
@@ -40,7 +40,10 @@ impl Delivery {
                 let takes = |input: &&crate::plan::PlannedInput| input.producer == producer && input.output == port;
                 for (place, input) in node.inputs.iter().enumerate().filter(|(_, input)| takes(input)) {
                     if input.latest {
-                        waiting.latest[place] = Some(sent.clone());
+                        if !input.queued {
+                            waiting.latest[place].clear();
+                        }
+                        waiting.latest[place].push(sent.clone());
                     } else {
                         let frame = waiting.frames.entry(sent.key.index);
                         frame.or_insert_with(|| vec![None; node.inputs.len()])[place] = Some(sent.clone());
@@ -57,15 +60,18 @@ impl Delivery {
         let mut key = None;
         let mut ports = Vec::with_capacity(messages.len());
         for (place, input) in plan.nodes[me].inputs.iter().enumerate() {
-            let sent = if input.latest { waiting.latest[place].clone() } else { Some(messages[place].clone()?) };
-            key = key.or(sent.as_ref().filter(|_| !input.latest).map(|sent| sent.key));
-            ports.push((input.port, sent));
+            let sent = if input.latest { waiting.latest[place].clone() } else { vec![messages[place].clone()?] };
+            key = key.or(sent.first().filter(|_| !input.latest).map(|sent| sent.key));
+            ports.push(Port { name: input.port, queued: input.queued, sent });
         }
         Some(Frame { key: key?, ports })
     }
 
-    pub(super) fn done(&mut self, me: usize, index: u64) {
+    /// A node has handled a frame, and had what was queued.
+    pub(super) fn done(&mut self, plan: &Plan, me: usize, index: u64) {
         self.nodes[me].frames.remove(&index);
+        let queued = plan.nodes[me].inputs.iter().zip(&mut self.nodes[me].latest).filter(|(input, _)| input.queued);
+        queued.for_each(|(_, messages)| messages.clear());
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -81,7 +87,13 @@ impl Delivery {
 /// What a node gets.
 pub(super) struct Frame {
     pub(super) key: FrameKey,
-    ports: Vec<(&'static str, Option<Sent>)>,
+    ports: Vec<Port>,
+}
+
+struct Port {
+    name: &'static str,
+    queued: bool,
+    sent: Vec<Sent>,
 }
 
 impl Inputs for Frame {
@@ -90,8 +102,17 @@ impl Inputs for Frame {
     }
 
     fn bytes(&self, port: &str) -> Option<&[u8]> {
-        let (_, sent) = self.ports.iter().find(|(name, _)| *name == port)?;
-        sent.as_ref().map(|sent| &**sent.bytes)
+        let port = self.ports.iter().find(|p| p.name == port && !p.queued)?;
+        port.sent.last().map(|sent| &**sent.bytes)
+    }
+
+    fn late(&self, port: &str) -> Vec<(FrameKey, &[u8])> {
+        let ports = self.ports.iter().filter(|p| p.name == port && p.queued);
+        ports.flat_map(|p| p.sent.iter().map(|sent| (sent.key, &**sent.bytes))).collect()
+    }
+
+    fn is_connected(&self, port: &str) -> bool {
+        self.ports.iter().any(|p| p.name == port)
     }
 }
 

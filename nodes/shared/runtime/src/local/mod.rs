@@ -165,7 +165,7 @@ impl Run {
         seat.summary.work += begin.elapsed();
         seat.summary.frames += 1;
         seat.acknowledged = seat.acknowledged.max(seat.node.safe_until(frame.key.index + 1));
-        self.delivery.done(me, frame.key.index);
+        self.delivery.done(&self.plan, me, frame.key.index);
         self.delivery.pass_on(&self.plan, me, outputs.messages);
         Ok(true)
     }
