@@ -29,7 +29,8 @@ struct Waiting {
 
 impl Delivery {
     pub(super) fn new(plan: &Plan) -> Self {
-        let waiting = |node: &PlannedNode| Waiting { latest: vec![Vec::new(); node.inputs.len()], ..Waiting::default() };
+        let waiting =
+            |node: &PlannedNode| Waiting { latest: vec![Vec::new(); node.inputs.len()], ..Waiting::default() };
         Self { nodes: plan.nodes.iter().map(waiting).collect() }
     }
 
