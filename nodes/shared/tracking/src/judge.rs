@@ -26,6 +26,12 @@ impl Evidence {
             + WEIGHTS[4] * self.textured * (self.texture - 0.5);
         1.0 / (1.0 + (-sum).exp())
     }
+
+    /// The same by the contour alone.
+    #[must_use]
+    pub fn of_contour(&self) -> f64 {
+        Self { textured: 0.0, ..*self }.confidence()
+    }
 }
 
 const WEIGHTS: [f64; 5] = [-5.0, 16.0, 4.0, 0.0, 6.0];

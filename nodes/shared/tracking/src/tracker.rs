@@ -4,7 +4,7 @@ use crate::judge::Evidence;
 use crate::looks::{self, Budget, Look};
 use crate::measure::{Eye, Subject, Trial, apart, nearest};
 use crate::rest::{Common, common_motion};
-use crate::texture::{Maker, Pyramid};
+use crate::texture::{Keyframe, Maker, Pyramid};
 use crate::track::{Phase, Track};
 use crate::{TrackingConfig, TrackingError};
 use nalgebra::Matrix6;
@@ -272,13 +272,31 @@ impl Tracker {
     }
 
     fn follow(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
+        let keyframes = std::mem::take(&mut self.tracks[i].keyframes);
+        let trial = self.follow_with(i, now, start, poses, &keyframes);
+        self.tracks[i].keyframes = keyframes;
+        trial
+    }
+
+    fn follow_contour(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
+        self.follow_with(i, now, start, poses, &[])
+    }
+
+    fn follow_with(
+        &mut self,
+        i: usize,
+        now: &Now<'_>,
+        start: &Pose,
+        poses: &[Pose],
+        keyframes: &[Keyframe],
+    ) -> Trial {
         let mut colours = std::mem::take(&mut self.tracks[i].colours);
         let Self { eye, objects, tracks, .. } = self;
         let hiders = hiders(objects, tracks, i, poses);
         let subject = subject(now, &objects[tracks[i].object], &hiders);
         let trial = match colours.is_empty() {
             true => eye.find(&subject, start),
-            false => eye.follow(&subject, start, &mut colours, &tracks[i].keyframes),
+            false => eye.follow(&subject, start, &mut colours, keyframes),
         };
         self.tracks[i].colours = colours;
         trial
@@ -296,24 +314,29 @@ impl Tracker {
         let id = self.objects[self.tracks[i].object].id;
         let mut best = own;
         for correction in corrections.iter().filter(|c| c.object_id == id) {
-            let start = self.carried(i, correction, predicted, &now.frame.intrinsics);
-            let look = matches!(correction.kind, CorrectionKind::Look { .. });
-            if look {
+            let search = correction.kind == CorrectionKind::Found;
+            let sure = best.is_some_and(|b| b.confidence >= self.config.min_confidence);
+            if search && sure && self.tracks[i].known {
+                continue;
+            }
+            if !search {
                 self.tracks[i].asked_ns = None;
             }
+            let start = self.carried(i, correction, predicted, &now.frame.intrinsics);
+            let trial = self.try_at(i, now, &start, poses);
             let Some(own) = best.filter(|_| self.tracks[i].known) else {
-                best = Some(self.begin(i, now, &start, poses));
+                best = Some(self.begin(i, now, trial));
                 continue;
             };
-            let trial = self.try_at(i, now, &start, poses);
             if self.near(i, &own.pose, &trial.pose) {
                 continue;
             }
-            if self.prefers(i, &own, &trial, correction) {
+            let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
+            if search && (trial.confidence > own.confidence || given_up) {
+                best = Some(self.begin(i, now, trial));
+            } else if !search && self.prefers(&own, &trial, correction) {
                 self.jump(i, &trial);
                 best = Some(trial);
-            } else if correction.kind == CorrectionKind::Found && self.tracks[i].phase != Phase::Tracking {
-                best = Some(self.begin(i, now, &start, poses));
             }
         }
         best
@@ -322,7 +345,7 @@ impl Tracker {
     /// A pose that others have found, in this frame.
     fn try_at(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
         match self.tracks[i].measured {
-            true => self.follow(i, now, start, poses),
+            true => self.follow_contour(i, now, start, poses),
             false => {
                 let Self { eye, objects, tracks, .. } = self;
                 let hiders = hiders(objects, tracks, i, poses);
@@ -331,13 +354,8 @@ impl Tracker {
         }
     }
 
-    /// Begins a track anew at a rough pose.
-    fn begin(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
-        let trial = {
-            let Self { eye, objects, tracks, .. } = self;
-            let hiders = hiders(objects, tracks, i, poses);
-            eye.find(&subject(now, &objects[tracks[i].object], &hiders), start)
-        };
+    /// Begins a track anew where a search has found its object.
+    fn begin(&mut self, i: usize, now: &Now<'_>, trial: Trial) -> Trial {
         let track = &mut self.tracks[i];
         let phase = track.phase;
         *track = Track::new(track.object);
