@@ -2,7 +2,7 @@ use super::{Graph, GraphError};
 use serde_yaml::{Mapping, Value};
 
 impl Graph {
-    /// Overrides a value: `mode`, `seed`, `window`, `restarts`, or `node.key` (deeper with more dots) for a value
+    /// Overrides a value: `mode`, `seed`, `window`, `restarts`, the deadlines, or `node.key` (deeper with more dots) for a value
     /// in a node's configuration. The value is read as YAML: `4`, `true`, `[1, 2]`, `some/path`.
     ///
     /// # Errors
@@ -25,7 +25,12 @@ impl Graph {
             "seed" => self.seed = read(value)?,
             "window" => self.window = read(value)?,
             "restarts" => self.restarts = read(value)?,
-            _ => return Err("no such key: write mode, seed, window, restarts or `node.key`".to_owned()),
+            "frame_deadline_s" => self.frame_deadline_s = Some(read(value)?),
+            "start_deadline_s" => self.start_deadline_s = Some(read(value)?),
+            _ => {
+                let keys = "mode, seed, window, restarts, frame_deadline_s, start_deadline_s";
+                return Err(format!("no such key: write {keys} or `node.key`"));
+            }
         }
         Ok(())
     }

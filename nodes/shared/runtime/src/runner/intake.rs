@@ -51,10 +51,17 @@ impl Intake {
         }
         for latest in &mut self.latest {
             while let Some(message) = latest.input.receive()? {
-                latest.message = Some(message);
+                if message.envelope().void == 0 {
+                    latest.message = Some(message);
+                }
             }
         }
         Ok(())
+    }
+
+    /// Takes a frame out that was given up on the way, whole or not.
+    pub(super) fn take_void(&mut self) -> Option<Envelope> {
+        self.join.take_any(|message| message.envelope().void != 0).map(|(_, message)| *message.envelope())
     }
 
     /// Takes a whole frame out.
