@@ -9,6 +9,8 @@ pub(crate) struct Plan {
     pub(crate) seed: u64,
     pub(crate) window: u64,
     pub(crate) restarts: u32,
+    /// Seconds that a node may be silent in a frame, and in its start.
+    pub(crate) deadlines_s: [u32; 2],
     /// In the graph's order; the position is the node's id in the run.
     pub(crate) nodes: Vec<PlannedNode>,
     /// Position of the one source.
@@ -60,7 +62,10 @@ impl Plan {
         let wiring = Wiring::new(graph, registry);
         let nodes: Vec<_> = wiring.nodes.iter().enumerate().map(|(i, _)| wiring.plan(i)).collect();
         let source = wiring.sources().next().unwrap_or(0);
-        Ok(Self { mode: graph.mode, seed: graph.seed, window: graph.window, restarts: graph.restarts, nodes, source })
+        let frame_s = graph.frame_deadline_s.unwrap_or(if graph.mode == Mode::Live { 120 } else { 900 });
+        let deadlines_s = [frame_s, graph.start_deadline_s.unwrap_or(1800)];
+        let Graph { mode, seed, window, restarts, .. } = *graph;
+        Ok(Self { mode, seed, window, restarts, deadlines_s, nodes, source })
     }
 
     pub(crate) fn position(&self, name: &str) -> Option<usize> {

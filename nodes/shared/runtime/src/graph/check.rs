@@ -53,7 +53,12 @@ impl<'a> Check<'a> {
     }
 
     fn values(&mut self) {
-        let window = self.wiring.graph.window;
+        let Graph { window, frame_deadline_s, start_deadline_s, .. } = *self.wiring.graph;
+        for (key, value) in [("frame_deadline_s", frame_deadline_s), ("start_deadline_s", start_deadline_s)] {
+            if value == Some(0) {
+                self.report(None, key, "0 is out of range".into(), "take at least 1, or leave it out".into());
+            }
+        }
         if !(1..=64).contains(&window) {
             self.report(None, "window", format!("{window} is out of range"), "take 1 to 64 frames in flight".into());
         }

@@ -46,9 +46,19 @@ pub struct Graph {
     #[serde(default = "default_window")]
     #[schemars(range(min = 1, max = 64))]
     pub window: u64,
-    /// How often a node that dies is started again before the run gives up.
+    /// How often a node that dies is started again before the run gives up. In a live graph the count begins anew when
+    /// a node has lived for half a minute, and a node that ends with an error once it was ready is started again, too.
     #[serde(default = "default_restarts")]
     pub restarts: u32,
+    /// How many seconds a node may be silent in a frame before it is killed and started again, at least 1; without: 120 in
+    /// a live graph, 900 in a replay.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1))]
+    pub frame_deadline_s: Option<u32>,
+    /// The same for its start, where models are loaded and warmed up; without: 1800.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1))]
+    pub start_deadline_s: Option<u32>,
     /// Outputs (`node/port`) whose way back to an earlier node's `latest` input is meant.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub feedback: Vec<PortRef>,

@@ -17,6 +17,8 @@ pub(crate) struct Envelope {
     pub(crate) sent_ns: u64,
     /// When the source sent the frame, monotonic.
     pub(crate) origin_ns: u64,
+    /// Not 0 where there is no message: the frame was given up on the way.
+    pub(crate) void: u64,
 }
 
 impl Envelope {

@@ -71,11 +71,21 @@ impl<N: Node> Runner<'_, N> {
     /// Asks the node for what is new; `true` when it had something.
     fn ask(&mut self, traffic: &mut Traffic, paced: bool) -> Result<bool, RunError> {
         let launch = self.launch;
+        launch.beat(None);
         let produced = match paced {
             true => self.node.produce(traffic.next, &mut self.outputs, &self.context),
             false => self.node.poll(&mut self.outputs, &self.context),
         };
-        let produced = produced.map_err(|error| launch.node_error("source", &error))?;
+        let produced = match produced {
+            Ok(produced) => produced,
+            Err(error) => {
+                let place = if paced { format!("frame {}", traffic.next) } else { "a message".to_owned() };
+                self.complaints.hear(launch, &place, &error)?;
+                self.outputs.abandon();
+                traffic.next += 1;
+                return Ok(false);
+            }
+        };
         launch.board.add(launch.me, Word::Drops, std::mem::take(&mut self.outputs.replaced));
         match produced {
             Produced::Nothing => return Ok(false),

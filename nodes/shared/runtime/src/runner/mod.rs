@@ -14,8 +14,10 @@
 //! # How live mode stays live
 //! The source keeps at most a window of frames in the graph; what comes meanwhile waits in one place where the
 //! newest replaces the older. A node with several whole frames before it takes the newest. Both are counted as
-//! drops. Frames that died with a node are forgotten when its successor is ready.
+//! drops. Frames that died with a node are forgotten when its successor is ready. A frame that a node cannot use
+//! ([`BadInput`](crate::BadInput)) is counted there; an empty message marked as void tells those who join it, and theirs.
 
+mod complaints;
 mod consumer;
 mod intake;
 mod join;
@@ -31,6 +33,7 @@ use crate::ipc::{IpcError, RunIpc};
 use crate::plan::{Plan, PlannedNode};
 use crate::registry::{Registry, read_config};
 use crate::{Context, Node, NodeError, Role};
+use complaints::Complaints;
 use intake::Intake;
 pub(crate) use intake::topic;
 use links::Links;
@@ -126,6 +129,25 @@ impl Launch {
         RunError::Node { node: self.node().name.clone(), place: place.into(), cause: cause.into() }
     }
 
+    /// A sign of life, and the frame that is begun: the supervisor ends what gives none for too long.
+    fn beat(&self, frame: Option<u64>) {
+        self.board.beat(self.me, crate::clock::monotonic_ns(), frame);
+    }
+
+    fn count_frame(&self, objects: Option<usize>, begin_ns: u64, origin_ns: u64) {
+        let end_ns = crate::clock::monotonic_ns();
+        self.board.count_frame(self.me, begin_ns, end_ns, origin_ns);
+        if let Some(objects) = objects {
+            self.board.count_objects(self.me, objects, end_ns - begin_ns);
+        }
+    }
+
+    /// Name of the node that feeds an input.
+    fn producer_of(&self, port: &str) -> Option<&str> {
+        let input = self.node().inputs.iter().find(|input| input.port == port)?;
+        Some(&self.plan.nodes[input.producer].name)
+    }
+
     /// First frame that not all sinks have acknowledged.
     fn acknowledged_by_all(&self) -> u64 {
         let by_each = self.plan.acknowledgers().map(|node| self.board.get(node, Word::Acknowledged));
@@ -172,6 +194,7 @@ struct Runner<'a, N> {
     intake: Intake,
     outputs: IpcOutputs,
     links: Links,
+    complaints: Complaints,
 }
 
 /// The whole life of a node of kind `N`.
@@ -200,7 +223,7 @@ fn connect<N: Node>(launch: &Launch, context: Context, node: N) -> Result<Runner
     let intake = Intake::new(&ipc_node, &launch.plan, launch.me).map_err(error)?;
     let outputs = IpcOutputs::new(&ipc_node, &launch.plan, launch.me).map_err(error)?;
     let links = Links::new(ipc_node, &launch.plan, launch.me).map_err(error)?;
-    Ok(Runner { launch, context, node, intake, outputs, links })
+    Ok(Runner { launch, context, node, intake, outputs, links, complaints: Complaints::default() })
 }
 
 impl<N: Node> Runner<'_, N> {
@@ -232,6 +255,8 @@ impl<N: Node> Runner<'_, N> {
     }
 
     fn close(mut self, ending: Ending) -> Result<(), RunError> {
+        self.launch.beat(None);
+        self.launch.board.set_state(self.launch.me, State::Closing);
         self.node.finish(&self.context).map_err(|error| self.launch.node_error("end", &error))?;
         if ending == Ending::InOrder {
             self.launch.board.set_state(self.launch.me, State::Finished);
@@ -256,6 +281,7 @@ impl<N: Node> Runner<'_, N> {
 
     /// `true` when the process is asked to end.
     fn sleep(&mut self, at_most: std::time::Duration) -> Result<bool, RunError> {
+        self.launch.beat(None);
         self.outputs.update();
         self.links.sleep(at_most).map_err(|e| self.launch.ipc_error(e))
     }

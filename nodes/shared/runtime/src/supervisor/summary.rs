@@ -14,6 +14,28 @@ pub struct Summary {
     pub nodes: Vec<NodeSummary>,
     /// Whether the run was asked to stop before its end.
     pub asked_to_stop: bool,
+    /// Nodes that had to be killed when the run was asked to stop: their last frames may be missing.
+    pub killed: Vec<String>,
+    /// Deaths, stalls and errors of nodes, the last [`Incident::KEPT`] of them.
+    pub incidents: Vec<Incident>,
+    /// Why the run failed; `None` when it did not.
+    pub failure: Option<String>,
+}
+
+/// Something that happened to a node.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Incident {
+    /// The node.
+    pub node: String,
+    /// When, seconds since the run began.
+    pub at_s: f64,
+    /// What, and what was done about it.
+    pub what: String,
+}
+
+impl Incident {
+    /// So many are kept: a live graph may run for weeks.
+    pub const KEPT: usize = 200;
 }
 
 /// What one node did.
@@ -39,6 +61,10 @@ pub struct NodeSummary {
     pub repeats: u64,
     /// How often it was started again.
     pub restarts: u64,
+    /// Frames dropped because they could not be used (live only), and why the last one was.
+    pub bad: u64,
+    /// Why the last of them was dropped.
+    pub last_bad: Option<String>,
 }
 
 /// Work in frames with so many objects.
@@ -59,12 +85,13 @@ impl Summary {
         let first_ns = times(Word::FirstNs).min().unwrap_or(0);
         let span_ns = times(Word::LastNs).max().unwrap_or(0).saturating_sub(first_ns);
         let of = |(i, node): (usize, &PlannedNode)| NodeSummary::of(&node.name, board, i, span_ns);
-        Self { nodes: nodes.map(of).collect(), asked_to_stop: false }
+        let nodes = nodes.map(of).collect();
+        Self { nodes, asked_to_stop: false, killed: Vec::new(), incidents: Vec::new(), failure: None }
     }
 
     pub(super) fn write(&self, path: &Path) -> Result<(), SupervisorError> {
         let text = serde_json::to_vec_pretty(self).map_err(std::io::Error::from);
-        text.and_then(|text| std::fs::write(path, text))
+        text.and_then(|text| crate::files::write(path, &text))
             .map_err(|source| SupervisorError::File { path: path.to_owned(), source })
     }
 }
@@ -85,6 +112,8 @@ impl NodeSummary {
             drops: board.get(node, Word::Drops),
             repeats: board.get(node, Word::Repeats),
             restarts: board.get(node, Word::Restarts),
+            bad: board.get(node, Word::Bad),
+            last_bad: board.last_bad(node),
         }
     }
 }
@@ -99,14 +128,14 @@ impl fmt::Display for Summary {
         let width = self.nodes.iter().map(|node| node.name.len()).chain([4]).max().unwrap_or(4);
         writeln!(
             f,
-            "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
-            "node", "frames", "rate/s", "busy %", "work p50", "p99 ms", "age p50", "p99 ms", "drops", "restarts"
+            "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>6} {:>8}",
+            "node", "frames", "rate/s", "busy %", "work p50", "p99 ms", "age p50", "p99 ms", "drops", "bad", "restarts"
         )?;
         for node in &self.nodes {
             let ms = |pair: Option<[f64; 2]>, i: usize| pair.map_or("-".to_owned(), |pair| format!("{:.2}", pair[i]));
             writeln!(
                 f,
-                "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
+                "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>6} {:>8}",
                 node.name,
                 node.frames,
                 node.rate_hz.map_or("-".to_owned(), |rate| format!("{rate:.1}")),
@@ -116,14 +145,34 @@ impl fmt::Display for Summary {
                 ms(node.age_ms, 0),
                 ms(node.age_ms, 1),
                 node.drops,
+                node.bad,
                 node.restarts
             )?;
         }
-        self.write_by_objects(f)
+        self.write_by_objects(f)?;
+        self.write_incidents(f)
     }
 }
 
 impl Summary {
+    /// What the table cannot say.
+    fn write_incidents(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const SHOWN: usize = 20;
+        for node in &self.nodes {
+            if let Some(cause) = &node.last_bad {
+                writeln!(f, "{}: {} bad frames dropped, the last one: {cause}", node.name, node.bad)?;
+            }
+        }
+        let passed = self.incidents.len().saturating_sub(SHOWN);
+        for Incident { node, at_s, what } in &self.incidents[passed..] {
+            writeln!(f, "{at_s:.1} s: {node}: {what}")?;
+        }
+        if !self.killed.is_empty() {
+            writeln!(f, "killed when the run was asked to stop: {}", self.killed.join(", "))?;
+        }
+        Ok(())
+    }
+
     /// A column for each number of objects that frames had.
     fn write_by_objects(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let measured: Vec<&NodeSummary> = self.nodes.iter().filter(|node| !node.by_objects.is_empty()).collect();
