@@ -10,7 +10,7 @@ use std::fs::OpenOptions;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-const MAGIC: u64 = 0x7066_626f_6172_6403;
+const MAGIC: u64 = 0x7066_626f_6172_6404;
 const HEADER_WORDS: usize = 16;
 const NODE_WORDS: usize = 640;
 /// Frames, and ns of work in them, by their number of objects.
@@ -55,6 +55,10 @@ pub(crate) enum Word {
     LastNs = 9,
     /// Time spent in frames, ns.
     WorkNs = 10,
+    /// CPU time of the process before it was ready, all its lives and threads, ns.
+    StartCpuNs = 11,
+    /// CPU time of the process since it was ready, all its lives and threads, ns.
+    CpuNs = 12,
 }
 
 /// Where a node stands.

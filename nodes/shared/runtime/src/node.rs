@@ -171,6 +171,11 @@ pub trait Node: Sized {
 pub trait Inputs {
     /// The frame.
     fn key(&self) -> FrameKey;
+    /// Nanoseconds of real time since the frame came to its source, or was due (a recording played live). For what is
+    /// measured or abandoned in live mode; nothing that replay must repeat may depend on it.
+    fn age_ns(&self) -> u64 {
+        0
+    }
     /// The message that came by a port; `None` when the graph leaves the port open.
     fn bytes(&self, port: &str) -> Option<&[u8]>;
 }

@@ -116,11 +116,12 @@ pub enum SupervisorError {
 pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summary, SupervisorError> {
     crate::graph::check(graph, registry).map_err(GraphError::Problems)?;
     let plan = Plan::new(graph, registry)?;
+    let begin_ns = crate::clock::monotonic_ns();
     let territory = territory::Territory::claim(&options.run_dir, plan.nodes.len())?;
     let file = options.run_dir.join("graph.yaml");
     std::fs::write(&file, graph.to_yaml()?).map_err(|source| SupervisorError::File { path: file.clone(), source })?;
     let result = control::Control::new(&plan, &territory, options, &file)?.run();
-    let summary = Summary::of(&plan, territory.board());
+    let summary = Summary::of(&plan, territory.board()).since(begin_ns, plan.source, territory.board());
     drop(territory);
     if options.print {
         summary::print(&summary);

@@ -12,6 +12,8 @@ use std::path::Path;
 pub struct Summary {
     /// The nodes in the graph's order.
     pub nodes: Vec<NodeSummary>,
+    /// From the start to the source's first frame, seconds.
+    pub startup_s: Option<f64>,
     /// Whether the run was asked to stop before its end.
     pub asked_to_stop: bool,
 }
@@ -31,6 +33,8 @@ pub struct NodeSummary {
     pub work_ms: Option<[f64; 2]>,
     /// Milliseconds from the source to this node's end of the frame: median and 99th percentile.
     pub age_ms: Option<[f64; 2]>,
+    /// CPU milliseconds of all threads of the process: before it was ready, and since.
+    pub cpu_ms: [f64; 2],
     /// Work by the number of objects in a frame, where the node's work depends on it.
     pub by_objects: Vec<ObjectsWork>,
     /// Frames given up for newer ones (live only).
@@ -59,7 +63,13 @@ impl Summary {
         let first_ns = times(Word::FirstNs).min().unwrap_or(0);
         let span_ns = times(Word::LastNs).max().unwrap_or(0).saturating_sub(first_ns);
         let of = |(i, node): (usize, &PlannedNode)| NodeSummary::of(&node.name, board, i, span_ns);
-        Self { nodes: nodes.map(of).collect(), asked_to_stop: false }
+        Self { nodes: nodes.map(of).collect(), asked_to_stop: false, startup_s: None }
+    }
+
+    /// Adds how long it took from `begin_ns` to the first frame.
+    pub(super) fn since(self, begin_ns: u64, source: usize, board: &Board) -> Self {
+        let first_ns = Some(board.get(source, Word::FirstNs)).filter(|ns| *ns > 0);
+        Self { startup_s: first_ns.map(|ns| ns.saturating_sub(begin_ns) as f64 * 1e-9), ..self }
     }
 
     pub(super) fn write(&self, path: &Path) -> Result<(), SupervisorError> {
@@ -81,6 +91,7 @@ impl NodeSummary {
             busy: (span_ns > 0).then(|| board.get(node, Word::WorkNs) as f64 / span_ns as f64),
             work_ms: both(&|share| board.work_ms(node, share)),
             age_ms: both(&|share| board.age_ms(node, share)),
+            cpu_ms: [Word::StartCpuNs, Word::CpuNs].map(|word| board.get(node, word) as f64 * 1e-6),
             by_objects: by_objects(board, node),
             drops: board.get(node, Word::Drops),
             repeats: board.get(node, Word::Repeats),
