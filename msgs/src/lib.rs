@@ -31,6 +31,7 @@ mod partner_frames;
 mod pictures;
 mod pseudo_labels;
 mod reference_views;
+mod wanted;
 
 pub use camera_frame::{CameraFrame, CameraFrameHeader, CameraFrameMut, FRAME_ID_BYTES};
 pub use flow_fields::{FlowFields, FlowFieldsHeader, FlowFieldsMut};
@@ -42,6 +43,7 @@ pub use partner_frames::{PartnerFrame, PartnerFrames, PartnerFramesHeader};
 pub use pictures::Pictures;
 pub use pseudo_labels::{InstanceLabels, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut};
 pub use reference_views::{Partner, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut};
+pub use wanted::{Wanted, WantedHeader};
 
 use bytemuck::{Pod, Zeroable};
 

@@ -24,6 +24,8 @@ enum Command {
     Run(commands::run::Args),
     /// Checks a graph without starting anything.
     Check(commands::run::CheckArgs),
+    /// Draws a graph: mermaid text, as GitHub and many editors show it.
+    Graph(commands::run::DrawArgs),
     /// Prints the JSON schema of graphs.
     Schema,
     /// One node of a run, as the supervisor starts it.
@@ -57,6 +59,7 @@ fn registry() -> Registry {
     Registry::new()
         .with::<pseudoflow_player::PlayerNode>()
         .with::<pseudoflow_initializer::InitializerNode>()
+        .with::<pseudoflow_tracker::TrackerNode>()
         .with::<pseudoflow_renderer::RendererNode>()
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_consistency::ConsistencyNode>()
@@ -89,6 +92,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Run(args) => commands::run::run(&args),
         Command::Ablate(args) => commands::ablate::run(&args),
         Command::Check(args) => commands::run::check(&args),
+        Command::Graph(args) => commands::run::draw(&args),
         Command::Schema => commands::run::schema(),
         Command::Node(args) => commands::run::node(&args),
         Command::Pretrain(args) => commands::pretrain::run(&args),

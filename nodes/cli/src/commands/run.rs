@@ -1,6 +1,6 @@
 use anyhow::{Context as _, Result};
-use pseudoflow_runtime::{Graph, graph, supervisor};
-use std::path::PathBuf;
+use pseudoflow_runtime::{Graph, graph, local, supervisor};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 #[derive(clap::Args)]
@@ -10,8 +10,20 @@ pub(crate) struct Args {
     /// Folder for what the run leaves behind.
     #[arg(long, default_value = "out/run")]
     out: PathBuf,
-    /// Overrides, such as `player.source=my.mcap` or `window=8`.
-    #[arg(long = "set", value_name = "NODE.KEY=VALUE")]
+    /// Overrides: a parameter of the graph (`size_px=256`), a node's setting (`player.source=my.mcap`), or `window=8`.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+    /// Run all nodes in this process, one after the other: the same results, slower, and easy to debug. Replay graphs only.
+    #[arg(long)]
+    in_process: bool,
+}
+
+#[derive(clap::Args)]
+pub(crate) struct DrawArgs {
+    /// The graph, a YAML file.
+    graph: PathBuf,
+    /// Overrides, as for `run`.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
 }
 
@@ -20,7 +32,7 @@ pub(crate) struct CheckArgs {
     /// The graph, a YAML file.
     graph: PathBuf,
     /// Overrides, as for `run`.
-    #[arg(long = "set", value_name = "NODE.KEY=VALUE")]
+    #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
 }
 
@@ -36,7 +48,7 @@ pub(crate) struct NodeArgs {
     run_dir: PathBuf,
 }
 
-pub(crate) fn read_graph(path: &std::path::Path, overrides: &[String]) -> Result<Graph> {
+pub(crate) fn read_graph(path: &Path, overrides: &[String]) -> Result<Graph> {
     let mut graph = Graph::read(path)?;
     for text in overrides {
         let (key, value) = text.split_once('=').with_context(|| format!("`--set {text}`: write KEY=VALUE"))?;
@@ -47,7 +59,28 @@ pub(crate) fn read_graph(path: &std::path::Path, overrides: &[String]) -> Result
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     let graph = read_graph(&args.graph, &args.overrides)?;
+    if args.in_process {
+        return run_in_process(&graph, &args.out);
+    }
     supervisor::run(&graph, &crate::registry(), &supervisor::Options::new(&args.out))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_in_process(graph: &Graph, out: &Path) -> Result<ExitCode> {
+    std::fs::create_dir_all(out).with_context(|| format!("`--out {}`: cannot be made", out.display()))?;
+    let bar = super::progress_spinner("frames");
+    let summary = local::run(graph, &crate::registry(), out, &mut |frames| bar.set_position(frames))?;
+    bar.finish_and_clear();
+    println!("{:16} {:>7} {:>12}", "node", "frames", "ms a frame");
+    for node in &summary.nodes {
+        let ms = node.work.as_secs_f64() * 1e3 / node.frames.max(1) as f64;
+        println!("{:16} {:>7} {ms:>12.1}", node.name, node.frames);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+pub(crate) fn draw(args: &DrawArgs) -> Result<ExitCode> {
+    print!("{}", graph::mermaid(&read_graph(&args.graph, &args.overrides)?, &crate::registry())?);
     Ok(ExitCode::SUCCESS)
 }
 

@@ -103,7 +103,7 @@ impl PixelBuffer {
     }
 
     /// The correspondences of a flow field: each foreground pixel of the reference with depth and a finite flow that is sure
-    /// enough gives its surface point and `pixel + flow` (method.md, step 5). When there are more than `max_points`, that many are
+    /// enough gives its surface point and `pixel + flow` (docs/method.md, step 5). When there are more than `max_points`, that many are
     /// taken evenly in row order.
     ///
     /// # Errors

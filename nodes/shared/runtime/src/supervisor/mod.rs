@@ -119,7 +119,8 @@ pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summ
     let begin_ns = crate::clock::monotonic_ns();
     let territory = territory::Territory::claim(&options.run_dir, plan.nodes.len())?;
     let file = options.run_dir.join("graph.yaml");
-    std::fs::write(&file, graph.to_yaml()?).map_err(|source| SupervisorError::File { path: file.clone(), source })?;
+    let as_it_runs = graph.resolved().map_err(GraphError::Problems)?.to_yaml()?;
+    std::fs::write(&file, as_it_runs).map_err(|source| SupervisorError::File { path: file.clone(), source })?;
     let result = control::Control::new(&plan, &territory, options, &file)?.run();
     let summary = Summary::of(&plan, territory.board()).since(begin_ns, plan.source, territory.board());
     drop(territory);
