@@ -41,8 +41,10 @@ enum Command {
     Calibrate(commands::calibrate::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
-    /// Times a training step and a look on a device.
+    /// Plays a recording in real time into a graph: poses per second, latency, what was right in time.
     Bench(commands::bench::Args),
+    /// Times a training step and a look on a device.
+    BenchDevice(commands::bench_device::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
     Eval(commands::eval::Args),
     /// Shows the difference of two reports, object by object.
@@ -65,6 +67,7 @@ fn registry() -> Registry {
         .with::<pseudoflow_trainer::adapt::TrainerNode>()
         .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()
+        .with::<pseudoflow_evaluator::live::StopwatchNode>()
         .with::<pseudoflow_recorder::RecorderNode>()
 }
 
@@ -97,6 +100,7 @@ fn dispatch(command: Command) -> Result<ExitCode> {
         Command::Calibrate(args) => commands::calibrate::run(&args),
         Command::Export(args) => commands::export::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
+        Command::BenchDevice(args) => commands::bench_device::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
         Command::Compare(args) => commands::eval::compare(&args),
         Command::Bag(command) => commands::bag::run(&command),

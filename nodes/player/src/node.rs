@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Settings of the player node.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlayerConfig {
     /// A rosbag2 folder, an .mcap file, or a BOP scene folder.
@@ -41,6 +41,10 @@ pub struct PlayerConfig {
     /// Only initial poses of these objects; all without.
     #[serde(default)]
     pub only_objects: Option<Vec<u32>>,
+    /// Stamps the frames as a camera of this rate would, from one second on, instead of as they were recorded. A live graph
+    /// plays a recording at the pace of its stamps.
+    #[serde(default)]
+    pub hz: Option<f64>,
     /// Plays at most this many frames.
     #[serde(default)]
     pub max_frames: Option<u64>,
@@ -76,6 +80,7 @@ impl PlayerConfig {
             camera_info_topic: None,
             rectified: false,
             only_objects: None,
+            hz: None,
             max_frames: None,
             sampling: None,
         }
@@ -93,6 +98,14 @@ pub struct PlayerNode {
 
 fn is_bop_scene(path: &Path) -> bool {
     path.join("scene_camera.json").is_file()
+}
+
+/// Opens the recordings of a player's settings, to look into them without playing.
+///
+/// # Errors
+/// When one cannot be played.
+pub fn open_recording(config: &PlayerConfig) -> Result<Box<dyn FrameSource>, PlayerError> {
+    open_all(config, &Naming::default())
 }
 
 fn open_all(config: &PlayerConfig, naming: &Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
@@ -262,6 +275,9 @@ impl Node for PlayerNode {
         if config.initial_poses.topic.is_some() && is_bop_scene(&config.source) {
             return Err("`initial_poses.topic`: a BOP scene has no topics: leave it out, or give `file`".into());
         }
+        if config.hz.is_some_and(|hz| !(0.01..=1000.0).contains(&hz)) {
+            return Err("`hz`: give a rate of 0.01 to 1000 frames per second, or leave it out".into());
+        }
         if config.max_frames == Some(0) {
             return Err("`max_frames: 0`: give at least 1, or leave it out".into());
         }
@@ -295,7 +311,8 @@ impl Node for PlayerNode {
     fn produce(&mut self, index: u64, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
         let Some((number, sample)) = self.draw(index, context) else { return Ok(Produced::End) };
         let mut frame = self.load(number)?;
-        let key = FrameKey { index, stamp_ns: frame.stamp_ns };
+        let of_rate = |hz: f64| 1_000_000_000 + (index as f64 / hz * 1e9).round() as i64;
+        let key = FrameKey { index, stamp_ns: self.config.hz.map_or(frame.stamp_ns, of_rate) };
         if let Some(sample) = &sample {
             frame.initial_poses = vec![frame.initial_poses[sample.pose]];
             if outputs.is_connected("partners") {

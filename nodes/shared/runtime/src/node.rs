@@ -183,6 +183,11 @@ pub trait Node: Sized {
 pub trait Inputs {
     /// The frame.
     fn key(&self) -> FrameKey;
+    /// Nanoseconds of real time since the frame came to its source, or was due (a recording played live). For what is
+    /// measured or abandoned in live mode; nothing that replay must repeat may depend on it.
+    fn age_ns(&self) -> u64 {
+        0
+    }
     /// The message that came by a port; `None` when the graph leaves the port open.
     fn bytes(&self, port: &str) -> Option<&[u8]>;
     /// Of a [`PortSpec::late`] input: what has come since the last frame, in order of coming, each with the frame that it

@@ -22,6 +22,10 @@ pub(crate) struct PlannedNode {
     pub(crate) name: String,
     pub(crate) config: serde_yaml::Value,
     pub(crate) kind: Kind,
+    /// How much its process stands back.
+    pub(crate) nice: u8,
+    /// Threads of its own work.
+    pub(crate) threads: Option<u16>,
     /// Whether a frame is done only when this node has handled it: the end of a line.
     pub(crate) acknowledges: bool,
     pub(crate) inputs: Vec<PlannedInput>,
@@ -219,6 +223,8 @@ impl<'a> Wiring<'a> {
         PlannedNode {
             name: wired.name.to_owned(),
             config: wired.spec.config.clone(),
+            nice: wired.spec.nice,
+            threads: wired.spec.threads,
             acknowledges: self.acknowledges(node),
             inputs: inputs.collect(),
             outputs: outputs.collect(),

@@ -82,6 +82,14 @@ pub struct NodeSpec {
     /// Input port: the output (`node/port`) that feeds it.
     #[serde(default, skip_serializing_if = "IndexMap::is_empty")]
     pub inputs: IndexMap<String, PortRef>,
+    /// How much it stands back behind other processes of the computer, 0 to 19 (nice): more for what may take its time.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(max = 19))]
+    pub nice: u8,
+    /// Threads of its own work (not of its inference engine, which `engine.threads` counts); without: as many as cores.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = 256))]
+    pub threads: Option<u16>,
     /// The kind's own configuration. Paths are relative to the working directory.
     #[serde(default = "empty_config")]
     #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
@@ -97,6 +105,10 @@ pub struct PortRef {
     pub node: String,
     /// Name of its output.
     pub port: String,
+}
+
+fn is_zero(nice: &u8) -> bool {
+    *nice == 0
 }
 
 fn default_seed() -> u64 {

@@ -129,6 +129,10 @@ impl Inputs for Frame<'_> {
         self.envelope.key()
     }
 
+    fn age_ns(&self) -> u64 {
+        crate::clock::monotonic_ns().saturating_sub(self.envelope.origin_ns)
+    }
+
     fn bytes(&self, port: &str) -> Option<&[u8]> {
         let joined = self.intake.joined.iter().position(|(name, _)| *name == port);
         let latest = || self.intake.latest.iter().find(|latest| latest.port == port)?.message.as_ref();

@@ -71,10 +71,10 @@ impl IpcOutputs {
         self.frame
     }
 
-    /// Sends what was held back.
-    pub(super) fn release(&mut self) -> Result<(), IpcError> {
+    /// Sends what was held back: a frame that came, or was due, at `origin_ns`.
+    pub(super) fn release(&mut self, origin_ns: u64) -> Result<(), IpcError> {
         let Some(key) = self.frame.take() else { return Ok(()) };
-        let envelope = envelope(key, monotonic_ns());
+        let envelope = envelope(key, origin_ns);
         for port in &mut self.ports {
             if let Some(loaned) = port.held.take() {
                 loaned.send(Envelope { sent_ns: monotonic_ns(), ..envelope })?;

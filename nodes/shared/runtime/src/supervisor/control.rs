@@ -173,8 +173,8 @@ impl<'a> Control<'a> {
     fn start(&mut self, node: usize) {
         self.board.beat(node, monotonic_ns(), None);
         self.charges[node].began = Instant::now();
-        let name = &self.plan.nodes[node].name;
-        match child::start(&self.command, name, self.graph, &self.run_dir) {
+        let (name, threads) = (&self.plan.nodes[node].name, self.plan.nodes[node].threads);
+        match child::start(&self.command, name, threads, self.graph, &self.run_dir) {
             Ok(child) => {
                 self.charges[node].pid = Some(child.id());
                 child::watch(child, node, &self.events.0);

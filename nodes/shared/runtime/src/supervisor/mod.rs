@@ -118,6 +118,7 @@ pub enum SupervisorError {
 pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summary, SupervisorError> {
     crate::graph::check(graph, registry).map_err(GraphError::Problems)?;
     let plan = Plan::new(graph, registry)?;
+    let begin_ns = crate::clock::monotonic_ns();
     let territory = territory::Territory::claim(&options.run_dir, plan.nodes.len())?;
     let file = options.run_dir.join("graph.yaml");
     let as_it_runs = graph.resolved().map_err(GraphError::Problems)?.to_yaml()?;
@@ -125,7 +126,7 @@ pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summ
         .map_err(|source| SupervisorError::File { path: file.clone(), source })?;
     let mut control = control::Control::new(&plan, &territory, options, &file)?;
     let result = control.run();
-    let mut summary = Summary::of(&plan, territory.board());
+    let mut summary = Summary::of(&plan, territory.board()).since(begin_ns, plan.source, territory.board());
     control.tell(&mut summary);
     drop(control);
     drop(territory);
