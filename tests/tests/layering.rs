@@ -35,7 +35,7 @@ const NODES: [&str; 10] = [
     "pseudoflow-evaluator",
     "pseudoflow-recorder",
 ];
-const SHARED: [&str; 9] = [
+const SHARED: [&str; 10] = [
     "pseudoflow-msgs",
     "pseudoflow-geometry",
     "pseudoflow-imaging",
@@ -44,6 +44,7 @@ const SHARED: [&str; 9] = [
     "pseudoflow-contour",
     "pseudoflow-solver",
     "pseudoflow-metrics",
+    "pseudoflow-edge",
     "pseudoflow-runtime",
 ];
 

@@ -1,6 +1,7 @@
 use crate::decode::CameraImage;
 use crate::sync::{Complete, StampSync};
 use crate::{BridgeError, CameraConfig, Participant, Transport, participant::topic_name, sensor_qos};
+use pseudoflow_edge::camera::LensCache;
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Detection3DArray, Image, RosMessage};
 use ros2_client::Subscription;
 
@@ -35,6 +36,8 @@ struct Topics<M: CameraImage> {
     detections: Option<Subscription<Detection3DArray>>,
     sync: StampSync<M, CameraInfo, Detection3DArray>,
     warned_at: u64,
+    lens: LensCache,
+    scratch: Vec<u8>,
 }
 
 impl<M: CameraImage> Topics<M> {
@@ -51,6 +54,8 @@ impl<M: CameraImage> Topics<M> {
             detections,
             config: config.clone(),
             warned_at: 0,
+            lens: LensCache::default(),
+            scratch: Vec::new(),
         })
     }
 
@@ -80,19 +85,15 @@ impl<M: CameraImage> Topics<M> {
     }
 
     fn picture(
-        &self,
+        &mut self,
         set: Complete<M, CameraInfo, Detection3DArray>,
         rgb: &mut Vec<u8>,
     ) -> Result<Picture, BridgeError> {
         let size = set.image.decode(rgb)?;
-        let info = &set.info;
-        if (info.width, info.height) != size {
-            let topic = self.config.image.clone();
-            return Err(BridgeError::Resized { topic, image: size, info: (info.width, info.height) });
-        }
-        let intrinsics = info
-            .intrinsics(self.config.rectified)
-            .map_err(|cause| BridgeError::Intrinsics { topic: self.config.camera_info.clone(), cause })?;
+        let lens = self.lens.lens(&set.info, size, self.config.rectified);
+        let lens = lens.map_err(|cause| BridgeError::Intrinsics { topic: self.config.camera_info.clone(), cause })?;
+        let intrinsics = lens.intrinsics();
+        lens.rectify(rgb, &mut self.scratch);
         let frame_id = set.image.header().frame_id.clone();
         Ok(Picture { stamp_ns: set.stamp_ns, frame_id, size, intrinsics, detections: set.extra })
     }
@@ -105,7 +106,7 @@ impl<M: CameraImage> Camera for Topics<M> {
         let stamp_ns = set.stamp_ns;
         match self.picture(set, rgb) {
             // One damaged file is no reason to stop a camera.
-            Err(error @ BridgeError::Compressed { .. }) => {
+            Err(error @ BridgeError::Image(_)) => {
                 log::warn!("{}: image of {stamp_ns} ns skipped: {error}", self.config.image);
                 Ok(None)
             }

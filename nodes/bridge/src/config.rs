@@ -1,10 +1,12 @@
 use crate::BridgeError;
 use crate::participant::{node_name, topic_name};
+use pseudoflow_edge::Catalogue;
 use pseudoflow_msgs::ros::Naming;
 use ros2_client::Name;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// Most messages that a publisher or subscription may keep.
 const MAX_QUEUE_DEPTH: u32 = 10_000;
@@ -15,12 +17,20 @@ const MAX_QUEUE_DEPTH: u32 = 10_000;
 pub struct BridgeConfig {
     /// Name of the ROS 2 node.
     pub node_name: String,
-    /// Namespace of `object_pose` and `object_poses`; `/tf` stays where ROS 2 looks for it.
+    /// Namespace of the node and of all its topics; `/tf` stays where ROS 2 looks for it.
     pub namespace: String,
-    /// The object of `object_pose`; without it, the one with the best score.
-    pub object_id: Option<u32>,
-    /// What objects are called in `class_id`, by object id; the id in digits where a name is missing.
+    /// Folder of the object set: names, boxes and meshes. `pseudoflow run` fills in that of the graph's other nodes.
+    pub objects: Option<PathBuf>,
+    /// What objects are called, by id, where there is no object set.
     pub object_names: BTreeMap<u32, String>,
+    /// Weights of the networks: `vision_info`'s version goes up with them. `pseudoflow run` fills in the graph's.
+    pub weights: Vec<PathBuf>,
+    /// The object of `object_pose`, by name or id; without, the first that is found, until it is lost.
+    pub object: Option<String>,
+    /// How long the object of `object_pose` may be lost before another takes its place, seconds.
+    pub switch_after_s: f64,
+    /// Transforms.
+    pub tf: TfConfig,
     /// Messages kept for slow reliable subscribers, 1 to 10000.
     #[schemars(range(min = 1, max = 10_000))]
     pub queue_depth: u32,
@@ -33,11 +43,31 @@ impl Default for BridgeConfig {
         Self {
             node_name: "pseudoflow".into(),
             namespace: "/".into(),
-            object_id: None,
+            objects: None,
             object_names: BTreeMap::new(),
+            weights: Vec::new(),
+            object: None,
+            switch_after_s: 5.0,
+            tf: TfConfig::default(),
             queue_depth: 100,
             camera: None,
         }
+    }
+}
+
+/// What goes out on `/tf`.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TfConfig {
+    /// Whether transforms are published.
+    pub enabled: bool,
+    /// What stands before the names of objects' frames; without, the namespace (`left/` for `/left`).
+    pub prefix: Option<String>,
+}
+
+impl Default for TfConfig {
+    fn default() -> Self {
+        Self { enabled: true, prefix: None }
     }
 }
 
@@ -85,19 +115,36 @@ impl BridgeConfig {
     /// # Errors
     /// The first that is wrong.
     pub fn check(&self) -> Result<(), BridgeError> {
-        node_name(&self.node_name)?;
+        node_name(&self.namespace, &self.node_name)?;
         self.topic("object_pose")?;
         check_depth("queue_depth", self.queue_depth)?;
-        self.naming()?;
+        if !(self.switch_after_s >= 0.0 && self.switch_after_s.is_finite()) {
+            return Err(BridgeError::Seconds { field: "switch_after_s", value: self.switch_after_s });
+        }
+        let naming = self.catalogue()?.naming;
+        self.object.as_deref().map(|name| naming.wanted(name)).transpose()?;
         self.camera.as_ref().map_or(Ok(()), CameraConfig::check)
     }
 
-    /// What objects are called.
+    /// What objects are called and look like.
     ///
     /// # Errors
-    /// When two could not be told apart.
-    pub fn naming(&self) -> Result<Naming, BridgeError> {
-        Naming::new(self.object_names.clone()).map_err(BridgeError::AmbiguousName)
+    /// When the object set cannot be read, or two objects could not be told apart.
+    pub fn catalogue(&self) -> Result<Catalogue, BridgeError> {
+        match &self.objects {
+            Some(folder) => Ok(Catalogue::load(folder)?),
+            None => Ok(Catalogue { naming: Naming::new(self.object_names.clone())?, ..Catalogue::default() }),
+        }
+    }
+
+    /// What stands before the names of objects' frames.
+    pub(crate) fn tf_prefix(&self) -> String {
+        let namespace = self.namespace.trim_matches('/');
+        match &self.tf.prefix {
+            Some(prefix) => prefix.clone(),
+            None if namespace.is_empty() => String::new(),
+            None => format!("{namespace}/"),
+        }
     }
 
     /// A topic in the namespace.
@@ -149,6 +196,12 @@ mod tests {
         assert!(refused(BridgeConfig { node_name: "a/b".into(), ..default() }).contains("`node_name: "));
         let object_names = [(1, "cup".to_owned()), (2, "cup".to_owned())].into();
         assert!(refused(BridgeConfig { object_names, ..default() }).contains("`cup`"));
+        let object_names: BTreeMap<_, _> = [(1, "soup can".to_owned()), (2, "soup_can".to_owned())].into();
+        assert!(refused(BridgeConfig { object_names, ..default() }).contains("objects/soup_can/pose"));
+        let object_names = [(1, "cup".to_owned())].into();
+        let object = Some("teapot".to_owned());
+        assert!(refused(BridgeConfig { object_names, object, ..default() }).contains("`object: teapot`"));
+        assert!(refused(BridgeConfig { switch_after_s: f64::NAN, ..default() }).contains("`switch_after_s: NaN`"));
         let with = |camera| refused(BridgeConfig { camera: Some(camera), ..default() });
         assert!(with(CameraConfig { image: "image".into(), ..camera() }).contains("`camera.image: image`"));
         assert!(with(CameraConfig { detections: Some("//".into()), ..camera() }).contains("`camera.detections: "));
@@ -163,6 +216,9 @@ mod tests {
             config.topic("object_pose").unwrap().to_string()
         };
         assert_eq!(topic("/"), "/object_pose");
+        let prefix =
+            |namespace: &str| BridgeConfig { namespace: namespace.into(), ..BridgeConfig::default() }.tf_prefix();
+        assert_eq!((prefix("/"), prefix("/left/arm")), (String::new(), "left/arm/".to_owned()));
         assert_eq!(topic("/robot/arm"), "/robot/arm/object_pose");
     }
 }

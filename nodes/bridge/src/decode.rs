@@ -1,11 +1,11 @@
-use crate::BridgeError;
+use pseudoflow_edge::pixels::{PixelError, write_rgb, write_rgb_of_file};
 use pseudoflow_msgs::ros::{CompressedImage, Header, Image, RosMessage};
 
 /// What a camera topic can carry.
 pub(crate) trait CameraImage: RosMessage {
     fn header(&self) -> &Header;
     /// Pixels in rows, three bytes R, G, B each, into `rgb`; width and height are returned.
-    fn decode(&self, rgb: &mut Vec<u8>) -> Result<(u32, u32), BridgeError>;
+    fn decode(&self, rgb: &mut Vec<u8>) -> Result<(u32, u32), PixelError>;
 }
 
 impl CameraImage for Image {
@@ -13,9 +13,8 @@ impl CameraImage for Image {
         &self.header
     }
 
-    fn decode(&self, rgb: &mut Vec<u8>) -> Result<(u32, u32), BridgeError> {
-        self.write_rgb(rgb)?;
-        Ok((self.width, self.height))
+    fn decode(&self, rgb: &mut Vec<u8>) -> Result<(u32, u32), PixelError> {
+        write_rgb(self, rgb)
     }
 }
 
@@ -24,13 +23,8 @@ impl CameraImage for CompressedImage {
         &self.header
     }
 
-    fn decode(&self, rgb: &mut Vec<u8>) -> Result<(u32, u32), BridgeError> {
-        let decoded = image::load_from_memory(&self.data)
-            .map_err(|error| BridgeError::Compressed { format: self.format.clone(), cause: error.to_string() })?
-            .into_rgb8();
-        let size = decoded.dimensions();
-        *rgb = decoded.into_raw();
-        Ok(size)
+    fn decode(&self, rgb: &mut Vec<u8>) -> Result<(u32, u32), PixelError> {
+        write_rgb_of_file(self, rgb)
     }
 }
 

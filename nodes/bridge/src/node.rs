@@ -49,7 +49,8 @@ impl Node for Bridge {
 
     fn create(config: BridgeConfig, context: &Context) -> Result<Self, NodeError> {
         config.check()?;
-        let mut participant = Participant::open(DdsEnvironment::of_process()?, &config.node_name)?;
+        let environment = DdsEnvironment::of_process()?;
+        let mut participant = Participant::open(environment, &config.namespace, &config.node_name)?;
         let publisher = PosePublisher::new(&mut participant, &config)?;
         let camera = LiveCamera::open(&mut participant, &config, context)?;
         Ok(Self { publisher, camera, participant })
@@ -72,7 +73,7 @@ impl Node for Bridge {
             Some(_) => Some(read::<ObjectStatuses>(inputs, "status")?.statuses),
             None => None,
         };
-        Ok(self.publisher.publish(key, frame_id, poses.poses, statuses)?)
+        Ok(self.publisher.publish(&mut self.participant, key, frame_id, poses.poses, statuses)?)
     }
 
     fn poll(&mut self, outputs: &mut dyn Outputs, _: &Context) -> Result<Produced, NodeError> {
@@ -104,7 +105,7 @@ impl LiveCamera {
         Ok(Some(Self {
             topics: camera::open(participant, camera)?,
             image_topic: camera.image.clone(),
-            naming: config.naming()?,
+            naming: config.catalogue()?.naming,
             // Frames of a later life are newer than all of an earlier one.
             next_index: u64::from(context.restarts) << 32,
             frame_id: None,

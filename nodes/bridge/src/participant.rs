@@ -15,8 +15,9 @@ impl Participant {
     ///
     /// # Errors
     /// When the node's name is none or DDS cannot open its ports.
-    pub fn open(environment: DdsEnvironment, node_name: &str) -> Result<Self, BridgeError> {
-        let name = self::node_name(node_name)?;
+    pub fn open(environment: DdsEnvironment, namespace: &str, node_name: &str) -> Result<Self, BridgeError> {
+        let name = self::node_name(namespace, node_name)?;
+        let full_name = name.fully_qualified_name();
         let mut builder = DomainParticipantBuilder::new(environment.domain_id)
             .same_host_loopback(environment.range != DiscoveryRange::Off);
         if let Some(networks) = environment.range.only_networks() {
@@ -24,9 +25,9 @@ impl Participant {
         }
         let participant = builder.build().map_err(|error| create("the participant", &error))?;
         let context = Context::from_domain_participant(participant).map_err(|error| create("the context", &error))?;
-        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
+        let options = NodeOptions::new().enable_rosout(true).start_parameter_services(false);
         let node = context.new_node(name, options).map_err(|error| create("the node", &error))?;
-        log::info!("DDS domain {}, discovery range {:?}, node {node_name}", environment.domain_id, environment.range);
+        log::info!("DDS domain {}, discovery range {:?}, node {full_name}", environment.domain_id, environment.range);
         Ok(Self { node })
     }
 
@@ -75,10 +76,12 @@ fn create(what: &str, error: &dyn std::fmt::Display) -> BridgeError {
     BridgeError::Create { what: what.to_owned(), cause: error.to_string() }
 }
 
-pub(crate) fn node_name(name: &str) -> Result<NodeName, BridgeError> {
-    NodeName::new("/", name).map_err(|error| BridgeError::Name {
-        field: "node_name",
-        name: name.to_owned(),
+pub(crate) fn node_name(namespace: &str, name: &str) -> Result<NodeName, BridgeError> {
+    let namespace = format!("/{}", namespace.trim_matches('/'));
+    let field = if NodeName::new("/", name).is_ok() { "namespace" } else { "node_name" };
+    NodeName::new(&namespace, name).map_err(|error| BridgeError::Name {
+        field,
+        name: if field == "namespace" { namespace.clone() } else { name.to_owned() },
         cause: error.to_string(),
     })
 }
@@ -104,7 +107,8 @@ mod tests {
             let text = topic_name("image", name).unwrap_err().to_string();
             assert!(text.contains("`image: "), "{text}");
         }
-        assert!(node_name("pseudoflow").is_ok());
-        assert!(node_name("pseudo flow").is_err());
+        assert_eq!(node_name("/left/", "pseudoflow").unwrap().fully_qualified_name(), "/left/pseudoflow");
+        assert_eq!(node_name("/", "pseudoflow").unwrap().fully_qualified_name(), "/pseudoflow");
+        assert!(node_name("/", "pseudo flow").is_err());
     }
 }

@@ -1,18 +1,25 @@
+use crate::description::urdf;
 use crate::participant::topic_name;
-use crate::{BridgeConfig, BridgeError, Participant, publisher_qos};
+use crate::{BridgeConfig, BridgeError, Participant, latched_qos, publisher_qos};
+use pseudoflow_edge::Catalogue;
 use pseudoflow_msgs::ros::{
-    Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped, RosMessage, TFMessage, Time, best_pose, detections,
-    diagnostics, pose_stamped, transforms,
+    Detection3DArray, DiagnosticArray, Follower, Header, LabelInfo, PoseStamped, PoseWithCovarianceStamped, RosMessage,
+    StringMessage, TFMessage, Time, VisionClass, VisionInfo, detections, diagnostics, pose_stamped,
+    pose_with_covariance_stamped, standing, transforms,
 };
 use pseudoflow_msgs::{FrameKey, ObjectPose, ObjectStatus};
 use ros2_client::{Publisher, WriteError};
+use std::collections::BTreeMap;
+
+/// Instances of one object that get topics of their own.
+const MAX_INSTANCES: u32 = 16;
 
 /// What has been published.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Published {
     /// Frames whose messages were handed to DDS.
     pub frames: u64,
-    /// Messages of `object_pose` among them: frames without a pose that stands have none.
+    /// Messages of `object_pose` among them: frames in which the object that it follows does not stand have none.
     pub poses: u64,
     /// Messages given up because a reliable subscriber took too long.
     pub given_up: u64,
@@ -20,13 +27,27 @@ pub struct Published {
 
 /// Publishes the poses of frames as ROS 2 messages.
 pub struct PosePublisher {
+    config: BridgeConfig,
+    catalogue: Catalogue,
     object_pose: Publisher<PoseStamped>,
     object_poses: Publisher<Detection3DArray>,
-    tf: Publisher<TFMessage>,
+    refused: Publisher<Detection3DArray>,
+    /// `objects/NAME/pose`: one of each object, more when more instances are found.
+    objects: BTreeMap<(u32, u32), Publisher<PoseWithCovarianceStamped>>,
+    tf: Option<Publisher<TFMessage>>,
     object_status: Publisher<DiagnosticArray>,
-    object_id: Option<u32>,
-    naming: Naming,
+    latched: Latched,
+    follower: Follower,
     published: Published,
+}
+
+/// What is said once.
+struct Latched {
+    _vision_info: Publisher<VisionInfo>,
+    _label_info: Publisher<LabelInfo>,
+    description: Publisher<StringMessage>,
+    /// The optical frame that the description begins at.
+    described: Option<String>,
 }
 
 impl PosePublisher {
@@ -36,15 +57,35 @@ impl PosePublisher {
     /// When the configuration is wrong or DDS refuses.
     pub fn new(participant: &mut Participant, config: &BridgeConfig) -> Result<Self, BridgeError> {
         let qos = publisher_qos(config.queue_depth);
-        Ok(Self {
+        let catalogue = config.catalogue()?;
+        let wanted = config.object.as_deref().map(|name| catalogue.naming.wanted(name)).transpose()?;
+        let tf = config.tf.enabled.then(|| participant.publisher(&topic_name("tf", "/tf")?, &qos)).transpose()?;
+        let ids: Vec<u32> = catalogue.naming.named().map(|(id, _)| id).collect();
+        let mut publisher = Self {
             object_pose: participant.publisher(&config.topic("object_pose")?, &qos)?,
             object_poses: participant.publisher(&config.topic("object_poses")?, &qos)?,
-            tf: participant.publisher(&topic_name("tf", "/tf")?, &qos)?,
+            refused: participant.publisher(&config.topic("object_poses/refused")?, &qos)?,
+            objects: BTreeMap::new(),
+            tf,
             object_status: participant.publisher(&config.topic("object_status")?, &qos)?,
-            object_id: config.object_id,
-            naming: config.naming()?,
+            latched: Latched::open(participant, config, &catalogue)?,
+            follower: Follower::new(wanted, (config.switch_after_s * 1e9) as i64),
             published: Published::default(),
-        })
+            config: config.clone(),
+            catalogue,
+        };
+        ids.into_iter().try_for_each(|id| publisher.announce(participant, (id, 0)))?;
+        Ok(publisher)
+    }
+
+    /// A topic of its own for an instance.
+    fn announce(&mut self, participant: &mut Participant, identity: (u32, u32)) -> Result<(), BridgeError> {
+        let token = self.catalogue.naming.token(identity.0, identity.1);
+        let topic = self.config.topic(&format!("objects/{token}/pose"))?;
+        let publisher = participant.publisher(&topic, &publisher_qos(self.config.queue_depth))?;
+        self.objects.insert(identity, publisher);
+        self.latched.described = None;
+        Ok(())
     }
 
     /// Publishes the poses (`camera_from_object`) of one frame with the image's stamp and optical frame, and the tracks where
@@ -55,32 +96,52 @@ impl PosePublisher {
     /// would not take is given up, counted and logged.
     pub fn publish(
         &mut self,
+        participant: &mut Participant,
         key: FrameKey,
         frame_id: &str,
         poses: &[ObjectPose],
         statuses: Option<&[ObjectStatus]>,
     ) -> Result<(), BridgeError> {
         let header = header(key, frame_id)?;
-        let mut given_up = 0;
-        if let Some(best) = best_pose(poses, self.object_id) {
-            given_up += send("object_pose", &self.object_pose, pose_stamped(&header, best))?;
+        let (good, refused) = standing(poses);
+        for pose in &good {
+            if !self.objects.contains_key(&pose.identity()) && pose.instance < MAX_INSTANCES {
+                self.announce(participant, pose.identity())?;
+            }
+        }
+        let mut given_up = self.latched.describe(frame_id, &self.catalogue, &self.config, self.objects.keys())?;
+        let naming = &self.catalogue.naming;
+        given_up += send("object_poses", &self.object_poses, detections(&header, &good, naming))?;
+        given_up += send("object_poses/refused", &self.refused, detections(&header, &refused, naming))?;
+        if let Some(tf) = &self.tf {
+            given_up += send("tf", tf, transforms(&header, &good, naming, &self.config.tf_prefix()))?;
+        }
+        for pose in ObjectPose::likeliest(&good) {
+            if let Some(publisher) = self.objects.get(&pose.identity()) {
+                given_up += send("objects/NAME/pose", publisher, pose_with_covariance_stamped(&header, pose))?;
+            }
+        }
+        if let Some(pose) = self.follower.choose(key.stamp_ns, &good) {
+            given_up += send("object_pose", &self.object_pose, pose_stamped(&header, pose))?;
             self.published.poses += 1;
         }
-        given_up += send("object_poses", &self.object_poses, detections(&header, poses, &self.naming))?;
-        given_up += send("tf", &self.tf, transforms(&header, poses))?;
         if let Some(statuses) = statuses {
-            given_up += send("object_status", &self.object_status, diagnostics(&header, statuses))?;
+            given_up += send("object_status", &self.object_status, diagnostics(&header, statuses, naming))?;
         }
+        self.count(key, given_up);
+        Ok(())
+    }
+
+    fn count(&mut self, key: FrameKey, given_up: u64) {
+        self.published.frames += 1;
+        self.published.given_up += given_up;
         if given_up > 0 {
-            self.published.given_up += given_up;
+            let all = self.published.given_up;
             log::warn!(
-                "frame {}: a reliable subscriber did not take a message in time; {} given up so far",
-                key.index,
-                self.published.given_up
+                "frame {}: a reliable subscriber did not take a message in time; {all} given up so far",
+                key.index
             );
         }
-        self.published.frames += 1;
-        Ok(())
     }
 
     /// What has been published so far.
@@ -90,17 +151,70 @@ impl PosePublisher {
     }
 }
 
+impl Latched {
+    fn open(participant: &mut Participant, config: &BridgeConfig, catalogue: &Catalogue) -> Result<Self, BridgeError> {
+        let qos = latched_qos();
+        let vision_info = participant.publisher(&config.topic("vision_info")?, &qos)?;
+        let label_info = participant.publisher(&config.topic("label_info")?, &qos)?;
+        send("vision_info", &vision_info, vision(config, catalogue))?;
+        send("label_info", &label_info, labels(catalogue))?;
+        Ok(Self {
+            _vision_info: vision_info,
+            _label_info: label_info,
+            description: participant.publisher(&config.topic("object_description")?, &qos)?,
+            described: None,
+        })
+    }
+
+    /// Describes the objects' frames below the optical frame, which the first image names.
+    fn describe<'a>(
+        &mut self,
+        frame_id: &str,
+        catalogue: &Catalogue,
+        config: &BridgeConfig,
+        instances: impl Iterator<Item = &'a (u32, u32)>,
+    ) -> Result<u64, BridgeError> {
+        if self.described.as_deref() == Some(frame_id) {
+            return Ok(0);
+        }
+        self.described = Some(frame_id.to_owned());
+        let data = urdf(catalogue, &config.tf_prefix(), frame_id, instances.copied());
+        send("object_description", &self.description, StringMessage { data })
+    }
+}
+
+fn vision(config: &BridgeConfig, catalogue: &Catalogue) -> VisionInfo {
+    VisionInfo {
+        header: Header::default(),
+        method: format!("pseudoflow {}", env!("CARGO_PKG_VERSION")),
+        database_location: catalogue.folder.display().to_string(),
+        database_version: catalogue.version(&config.weights),
+    }
+}
+
+fn labels(catalogue: &Catalogue) -> LabelInfo {
+    let class = |(id, name): (u32, &str)| match u16::try_from(id) {
+        Ok(class_id) => Some(VisionClass { class_id, class_name: name.to_owned() }),
+        Err(_) => {
+            log::warn!("object {id} (`{name}`) is left out of label_info, whose ids end at 65535");
+            None
+        }
+    };
+    let class_map = catalogue.naming.named().filter_map(class).collect();
+    LabelInfo { header: Header::default(), class_map, threshold: 0.0 }
+}
+
 fn header(key: FrameKey, frame_id: &str) -> Result<Header, BridgeError> {
     let stamp = Time::from_ns(key.stamp_ns).ok_or(BridgeError::Stamp { index: key.index, stamp_ns: key.stamp_ns })?;
     Ok(Header { stamp, frame_id: frame_id.to_owned() })
 }
 
 /// Returns how many messages were given up: 0 or 1.
-fn send<M: RosMessage>(topic: &'static str, publisher: &Publisher<M>, message: M) -> Result<u64, BridgeError> {
+fn send<M: RosMessage>(topic: &str, publisher: &Publisher<M>, message: M) -> Result<u64, BridgeError> {
     match publisher.publish(message) {
         Ok(()) => Ok(0),
         Err(WriteError::WouldBlock { .. }) => Ok(1),
-        Err(error) => Err(BridgeError::Publish { topic, cause: error.to_string() }),
+        Err(error) => Err(BridgeError::Publish { topic: topic.to_owned(), cause: error.to_string() }),
     }
 }
 
@@ -115,5 +229,14 @@ mod tests {
         assert_eq!(header(key, "camera_optical").unwrap(), expected);
         let far = FrameKey { index: 3, stamp_ns: i64::MAX };
         assert!(header(far, "camera").unwrap_err().to_string().contains("frame 3"));
+    }
+
+    #[test]
+    fn all_classes_are_named_with_their_ids() {
+        let object_names = [(5, "mustard".to_owned()), (70_000, "far".to_owned())].into();
+        let config = BridgeConfig { object_names, ..BridgeConfig::default() };
+        let catalogue = config.catalogue().unwrap();
+        assert_eq!(labels(&catalogue).class_map, [VisionClass { class_id: 5, class_name: "mustard".into() }]);
+        assert!(vision(&config, &catalogue).method.starts_with("pseudoflow "));
     }
 }

@@ -69,7 +69,7 @@ struct World {
 
 impl World {
     fn new() -> Self {
-        let mut participant = Participant::open(DdsEnvironment::of_process().unwrap(), "world").unwrap();
+        let mut participant = Participant::open(DdsEnvironment::of_process().unwrap(), "/", "world").unwrap();
         fn publish<M: RosMessage>(participant: &mut Participant, name: &str) -> Publisher<M> {
             participant.publisher(&Name::new(&namespace(), name).unwrap(), &publisher_qos(10)).unwrap()
         }
@@ -149,7 +149,10 @@ fn a_live_camera_goes_in_and_its_poses_come_out() {
     });
     let header = Header { stamp: Time::from_ns(key.stamp_ns).unwrap(), frame_id: "optical".into() };
     assert_eq!((stamped.header, stamped.pose.position.z), (header.clone(), 0.3));
-    assert_eq!((&tf.transforms[0].header, tf.transforms[0].child_frame_id.as_str()), (&header, "object_5"));
+    assert_eq!(
+        (&tf.transforms[0].header, tf.transforms[0].child_frame_id.as_str()),
+        (&header, format!("run{}/mustard", std::process::id()).as_str())
+    );
 }
 
 #[test]

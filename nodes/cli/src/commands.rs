@@ -10,6 +10,7 @@ pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod export;
 mod frames;
+mod inherit;
 pub(crate) mod pretrain;
 pub(crate) mod run;
 

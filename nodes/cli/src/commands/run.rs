@@ -42,6 +42,7 @@ pub(crate) fn read_graph(path: &std::path::Path, overrides: &[String]) -> Result
         let (key, value) = text.split_once('=').with_context(|| format!("`--set {text}`: write KEY=VALUE"))?;
         graph.set(key, value)?;
     }
+    super::inherit::fill_in(&mut graph);
     Ok(graph)
 }
 
