@@ -95,6 +95,19 @@ pub enum DetectionError {
     Score(String, f64),
 }
 
+impl DetectionError {
+    /// The reason in a word or two, for counting.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Empty(_) => "empty",
+            Self::UnknownClass(_) => "unknown object",
+            Self::NotAPose(_) => "pose",
+            Self::Score(..) => "score",
+        }
+    }
+}
+
 /// A detector's answer as initial poses, and what could not be used. Each detection counts with its likeliest
 /// result. An instance is the one that the detection's `id` names; else instances of an object are numbered in their order.
 #[must_use]

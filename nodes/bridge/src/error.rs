@@ -1,8 +1,7 @@
 use crate::EnvironmentError;
 use pseudoflow_edge::CatalogueError;
-use pseudoflow_edge::camera::CalibrationError;
-use pseudoflow_edge::pixels::PixelError;
-use pseudoflow_msgs::ros::{DetectionError, NamingError};
+use pseudoflow_edge::camera::CalibrationFileError;
+use pseudoflow_msgs::ros::NamingError;
 
 /// What goes wrong at the edge to ROS 2.
 #[derive(Debug, thiserror::Error)]
@@ -48,8 +47,17 @@ pub enum BridgeError {
     /// An object set that cannot be named.
     #[error("`objects`: {0}")]
     Catalogue(#[from] CatalogueError),
+    /// A calibration file.
+    #[error("`camera.calibration`: {0}")]
+    Calibration(#[from] CalibrationFileError),
+    /// Another middleware than DDS.
+    #[error(
+        "RMW_IMPLEMENTATION={0}: pseudoflow speaks DDS, which nodes of this middleware do not hear; run them with \
+         rmw_cyclonedds_cpp or rmw_fastrtps_cpp, or go on with --allow-rmw-mismatch (`allow_rmw_mismatch: true`)"
+    )]
+    Middleware(String),
     /// Seconds that are none.
-    #[error("`{field}: {value}`: give seconds from 0 on")]
+    #[error("`{field}: {value}`: give seconds from 0 on (`camera.memory_s`: up to 60)")]
     Seconds {
         /// Configuration field.
         field: &'static str,
@@ -72,29 +80,7 @@ pub enum BridgeError {
         /// What ros2-client said.
         cause: String,
     },
-    /// A calibration that cannot be used.
-    #[error("topic {topic}: {cause}")]
-    Intrinsics {
-        /// Topic of the CameraInfo.
-        topic: String,
-        /// What is wrong with it.
-        cause: CalibrationError,
-    },
-    /// A camera's frame name that does not fit.
-    #[error("topic {topic}: frame_id `{frame_id}` is longer than 63 bytes: shorten it in the camera driver")]
-    FrameId {
-        /// Topic of the image.
-        topic: String,
-        /// The name.
-        frame_id: String,
-    },
-    /// An image that cannot be read.
-    #[error(transparent)]
-    Image(#[from] PixelError),
     /// The graph takes frames from a bridge without a camera.
     #[error("the graph takes frames from the bridge, but its configuration names no camera: add `camera: ...`")]
     NoCamera,
-    /// A detection that is no initial pose.
-    #[error(transparent)]
-    Detection(#[from] DetectionError),
 }

@@ -1,10 +1,11 @@
 use crate::description::urdf;
-use crate::participant::topic_name;
+use crate::ledger::Ledger;
+use crate::names::Names;
 use crate::{BridgeConfig, BridgeError, Participant, latched_qos, publisher_qos};
 use pseudoflow_edge::Catalogue;
 use pseudoflow_msgs::ros::{
-    Detection3DArray, DiagnosticArray, Follower, Header, LabelInfo, PoseStamped, PoseWithCovarianceStamped, RosMessage,
-    StringMessage, TFMessage, Time, VisionClass, VisionInfo, detections, diagnostics, pose_stamped,
+    Detection3DArray, DiagnosticArray, Follower, Header, LabelInfo, Naming, PoseStamped, PoseWithCovarianceStamped,
+    RosMessage, StringMessage, TFMessage, Time, VisionClass, VisionInfo, detections, diagnostics, pose_stamped,
     pose_with_covariance_stamped, standing, transforms,
 };
 use pseudoflow_msgs::{FrameKey, ObjectPose, ObjectStatus};
@@ -16,17 +17,17 @@ const MAX_INSTANCES: u32 = 16;
 
 /// What has been published.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Published {
+pub(crate) struct Published {
     /// Frames whose messages were handed to DDS.
-    pub frames: u64,
+    pub(crate) frames: u64,
     /// Messages of `object_pose` among them: frames in which the object that it follows does not stand have none.
-    pub poses: u64,
+    pub(crate) poses: u64,
     /// Messages given up because a reliable subscriber took too long.
-    pub given_up: u64,
+    pub(crate) given_up: u64,
 }
 
 /// Publishes the poses of frames as ROS 2 messages.
-pub struct PosePublisher {
+pub(crate) struct PosePublisher {
     config: BridgeConfig,
     catalogue: Catalogue,
     object_pose: Publisher<PoseStamped>,
@@ -36,6 +37,10 @@ pub struct PosePublisher {
     objects: BTreeMap<(u32, u32), Publisher<PoseWithCovarianceStamped>>,
     tf: Option<Publisher<TFMessage>>,
     object_status: Publisher<DiagnosticArray>,
+    /// What came in and was dropped.
+    diagnostics: Publisher<DiagnosticArray>,
+    /// Of the last frame.
+    header: Header,
     latched: Latched,
     follower: Follower,
     published: Published,
@@ -55,34 +60,45 @@ impl PosePublisher {
     ///
     /// # Errors
     /// When the configuration is wrong or DDS refuses.
-    pub fn new(participant: &mut Participant, config: &BridgeConfig) -> Result<Self, BridgeError> {
+    pub(crate) fn new(
+        participant: &mut Participant,
+        names: &Names,
+        config: &BridgeConfig,
+    ) -> Result<Self, BridgeError> {
         let qos = publisher_qos(config.queue_depth);
         let catalogue = config.catalogue()?;
         let wanted = config.object.as_deref().map(|name| catalogue.naming.wanted(name)).transpose()?;
-        let tf = config.tf.enabled.then(|| participant.publisher(&topic_name("tf", "/tf")?, &qos)).transpose()?;
+        let tf = config.tf.enabled.then(|| participant.advertise(names, "/tf", qos.clone())).transpose()?;
         let ids: Vec<u32> = catalogue.naming.named().map(|(id, _)| id).collect();
         let mut publisher = Self {
-            object_pose: participant.publisher(&config.topic("object_pose")?, &qos)?,
-            object_poses: participant.publisher(&config.topic("object_poses")?, &qos)?,
-            refused: participant.publisher(&config.topic("object_poses/refused")?, &qos)?,
+            object_pose: participant.advertise(names, "object_pose", qos.clone())?,
+            object_poses: participant.advertise(names, "object_poses", qos.clone())?,
+            refused: participant.advertise(names, "object_poses/refused", qos.clone())?,
             objects: BTreeMap::new(),
             tf,
-            object_status: participant.publisher(&config.topic("object_status")?, &qos)?,
-            latched: Latched::open(participant, config, &catalogue)?,
+            object_status: participant.advertise(names, "object_status", qos.clone())?,
+            diagnostics: participant.advertise(names, "diagnostics", qos)?,
+            latched: Latched::open(participant, names, config, &catalogue)?,
             follower: Follower::new(wanted, (config.switch_after_s * 1e9) as i64),
+            header: Header::default(),
             published: Published::default(),
             config: config.clone(),
             catalogue,
         };
-        ids.into_iter().try_for_each(|id| publisher.announce(participant, (id, 0)))?;
+        ids.into_iter().try_for_each(|id| publisher.announce(participant, names, (id, 0)))?;
         Ok(publisher)
     }
 
     /// A topic of its own for an instance.
-    fn announce(&mut self, participant: &mut Participant, identity: (u32, u32)) -> Result<(), BridgeError> {
+    fn announce(
+        &mut self,
+        participant: &mut Participant,
+        names: &Names,
+        identity: (u32, u32),
+    ) -> Result<(), BridgeError> {
         let token = self.catalogue.naming.token(identity.0, identity.1);
-        let topic = self.config.topic(&format!("objects/{token}/pose"))?;
-        let publisher = participant.publisher(&topic, &publisher_qos(self.config.queue_depth))?;
+        let qos = publisher_qos(self.config.queue_depth);
+        let publisher = participant.advertise(names, &format!("objects/{token}/pose"), qos)?;
         self.objects.insert(identity, publisher);
         self.latched.described = None;
         Ok(())
@@ -94,9 +110,10 @@ impl PosePublisher {
     /// # Errors
     /// When the stamp does not fit into ROS time or DDS fails. A subscriber that is too slow is no error: what it
     /// would not take is given up, counted and logged.
-    pub fn publish(
+    pub(crate) fn publish(
         &mut self,
         participant: &mut Participant,
+        names: &Names,
         key: FrameKey,
         frame_id: &str,
         poses: &[ObjectPose],
@@ -106,7 +123,7 @@ impl PosePublisher {
         let (good, refused) = standing(poses);
         for pose in &good {
             if !self.objects.contains_key(&pose.identity()) && pose.instance < MAX_INSTANCES {
-                self.announce(participant, pose.identity())?;
+                self.announce(participant, names, pose.identity())?;
             }
         }
         let mut given_up = self.latched.describe(frame_id, &self.catalogue, &self.config, self.objects.keys())?;
@@ -128,6 +145,7 @@ impl PosePublisher {
         if let Some(statuses) = statuses {
             given_up += send("object_status", &self.object_status, diagnostics(&header, statuses, naming))?;
         }
+        self.header = header;
         self.count(key, given_up);
         Ok(())
     }
@@ -144,24 +162,39 @@ impl PosePublisher {
         }
     }
 
+    /// What objects are called.
+    pub(crate) fn naming(&self) -> &Naming {
+        &self.catalogue.naming
+    }
+
+    /// Publishes what came in and was dropped, where that has changed.
+    pub(crate) fn report(&mut self, ledger: &mut Ledger) -> Result<(), BridgeError> {
+        let report = ledger.report(&self.header);
+        report.map_or(Ok(()), |report| send("diagnostics", &self.diagnostics, report).map(|_| ()))
+    }
+
     /// What has been published so far.
     #[must_use]
-    pub fn published(&self) -> Published {
+    pub(crate) fn published(&self) -> Published {
         self.published
     }
 }
 
 impl Latched {
-    fn open(participant: &mut Participant, config: &BridgeConfig, catalogue: &Catalogue) -> Result<Self, BridgeError> {
-        let qos = latched_qos();
-        let vision_info = participant.publisher(&config.topic("vision_info")?, &qos)?;
-        let label_info = participant.publisher(&config.topic("label_info")?, &qos)?;
+    fn open(
+        participant: &mut Participant,
+        names: &Names,
+        config: &BridgeConfig,
+        catalogue: &Catalogue,
+    ) -> Result<Self, BridgeError> {
+        let vision_info = participant.advertise(names, "vision_info", latched_qos())?;
+        let label_info = participant.advertise(names, "label_info", latched_qos())?;
         send("vision_info", &vision_info, vision(config, catalogue))?;
         send("label_info", &label_info, labels(catalogue))?;
         Ok(Self {
             _vision_info: vision_info,
             _label_info: label_info,
-            description: participant.publisher(&config.topic("object_description")?, &qos)?,
+            description: participant.advertise(names, "object_description", latched_qos())?,
             described: None,
         })
     }

@@ -41,6 +41,13 @@ impl Lens {
         self.rectifier.is_some()
     }
 
+    /// Where what a pixel of the rectified image shows is in the image as it came; `None` where the lens did not see it. The
+    /// pixel itself where nothing is to be done.
+    #[must_use]
+    pub fn source(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
+        self.rectifier.as_ref().map_or(Some(pixel), |rectifier| rectifier.source(pixel))
+    }
+
     /// Takes the distortion out of an image of R, G, B; `scratch` is memory to work in.
     pub fn rectify(&self, rgb: &mut Vec<u8>, scratch: &mut Vec<u8>) {
         if let Some(rectifier) = &self.rectifier {

@@ -10,6 +10,7 @@ pub struct Rectifier {
     width: usize,
     height: usize,
     taps: Vec<Tap>,
+    map: Map,
 }
 
 /// Where a pixel comes from.
@@ -40,7 +41,13 @@ impl Rectifier {
         }
         let pixels = (0..height).flat_map(|v| (0..width).map(move |u| [u as f64, v as f64]));
         let taps = pixels.map(|pixel| map.source(pixel).map_or(Tap::NONE, |at| Tap::new(at, width, height))).collect();
-        Ok(Some(Self { width, height, taps }))
+        Ok(Some(Self { width, height, taps, map }))
+    }
+
+    /// Where what a pixel of the rectified image shows is in the image as it came.
+    #[must_use]
+    pub fn source(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
+        self.map.source(pixel)
     }
 
     /// Rectifies `source`, rows of R, G, B, into `target`.
@@ -102,6 +109,7 @@ fn blend(a: u64, b: u64, weight: u64) -> u64 {
     ((a * (256 - weight) + b * weight + 0x0080_0080_0080) >> 8) & 0x00ff_00ff_00ff
 }
 
+#[derive(Debug, Clone)]
 /// From pixels of the rectified image to pixels of the image as it came.
 pub(super) struct Map {
     raw: [f64; 4],

@@ -13,8 +13,11 @@
 mod bayer;
 mod yuv;
 
-use pseudoflow_imaging::decode_rgb;
+use pseudoflow_imaging::{decode_rgb, image_size};
 use pseudoflow_msgs::ros::{CompressedImage, Image};
+
+/// No camera has more pixels; a small file may claim more.
+const MOST_PIXELS: u64 = 1 << 27;
 
 /// Why an image cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -160,6 +163,10 @@ pub fn write_rgb_of_file(image: &CompressedImage, rgb: &mut Vec<u8>) -> Result<(
     if format.contains("compressed bayer_") {
         return Err(refused("the file holds a Bayer mosaic".into()));
     }
+    let announced = image_size(&image.data, "image").map_err(|error| refused(error.to_string()))?;
+    if u64::from(announced.0) * u64::from(announced.1) > MOST_PIXELS {
+        return Err(refused(format!("{announced:?} pixels are too many")));
+    }
     let decoded = decode_rgb(&image.data, "image").map_err(|error| refused(error.to_string()))?;
     let size = decoded.dimensions();
     if size.0 == 0 || size.1 == 0 {
@@ -223,13 +230,13 @@ fn narrow(row: &[u8], is_bigendian: u8) -> Vec<u8> {
 mod tests {
     use super::*;
 
-    fn image(encoding: &str, (width, height): (u32, u32), step: u32, data: &[u8]) -> Image {
+    fn message(encoding: &str, (width, height): (u32, u32), step: u32, data: &[u8]) -> Image {
         Image { height, width, encoding: encoding.into(), step, data: data.to_vec(), ..Image::default() }
     }
 
     fn rgb_of(encoding: &str, width: u32, step: u32, data: &[u8]) -> Result<Vec<u8>, PixelError> {
         let mut rgb = vec![1, 2, 3];
-        write_rgb(&image(encoding, (width, 2), step, data), &mut rgb)?;
+        write_rgb(&message(encoding, (width, 2), step, data), &mut rgb)?;
         Ok(rgb)
     }
 
@@ -245,7 +252,7 @@ mod tests {
     fn sixteen_bits_are_scaled_in_either_byte_order() {
         assert_eq!(rgb_of("mono16", 1, 2, &[255, 255, 0, 128]).unwrap(), [255, 255, 255, 128, 128, 128]);
         assert_eq!(rgb_of("bgr16", 1, 6, &[0, 0, 0, 1, 0, 2, 0, 0, 0, 1, 0, 2]).unwrap(), [2, 1, 0, 2, 1, 0]);
-        let mut big = image("mono16", (1, 1), 2, &[1, 0]);
+        let mut big = message("mono16", (1, 1), 2, &[1, 0]);
         big.is_bigendian = 1;
         let mut rgb = Vec::new();
         write_rgb(&big, &mut rgb).unwrap();
@@ -267,6 +274,21 @@ mod tests {
         }
         let short = rgb_of("nv12", 2, 2, &[0; 5]).unwrap_err();
         assert!(matches!(short, PixelError::Size { .. }), "{short}");
+    }
+
+    #[test]
+    fn png_comes_back_exactly_and_jpeg_nearly() {
+        let picture = image::RgbImage::from_fn(16, 8, |x, y| image::Rgb([x as u8 * 8, y as u8 * 8, 90]));
+        let file = |format| {
+            let mut data = std::io::Cursor::new(Vec::new());
+            picture.write_to(&mut data, format).unwrap();
+            CompressedImage { format: "test".into(), data: data.into_inner(), ..CompressedImage::default() }
+        };
+        let (mut exact, mut near) = (Vec::new(), Vec::new());
+        assert_eq!(write_rgb_of_file(&file(image::ImageFormat::Png), &mut exact).unwrap(), (16, 8));
+        assert_eq!(write_rgb_of_file(&file(image::ImageFormat::Jpeg), &mut near).unwrap(), (16, 8));
+        assert_eq!(&exact, picture.as_raw());
+        assert!(exact.iter().zip(&near).all(|(a, b)| a.abs_diff(*b) < 32));
     }
 
     #[test]
