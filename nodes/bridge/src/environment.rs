@@ -89,6 +89,22 @@ impl DdsEnvironment {
         set.map(|(name, why)| format!("{name} is not honoured: {why}")).collect()
     }
 
+    /// What is wrong with `ROS_DISTRO`, if anything: nodes of other releases hear the messages, but cannot list the topics of ours.
+    #[must_use]
+    pub fn other_release(distro: Option<&str>) -> Option<String> {
+        // Iron has the same node graph.
+        const SINCE_JAZZY: [&str; 5] = ["iron", "jazzy", "kilted", "lyrical", "rolling"];
+        let distro = distro.filter(|distro| !distro.is_empty())?;
+        let fits = if cfg!(feature = "jazzy") { SINCE_JAZZY.contains(&distro) } else { distro == "humble" };
+        let built = if cfg!(feature = "jazzy") { "Jazzy and later" } else { "Humble" };
+        (!fits).then(|| {
+            format!(
+                "ROS_DISTRO={distro}, but this build speaks the node graph of {built}: `ros2 topic list` may not show it \
+                 (features `jazzy`, `humble`)"
+            )
+        })
+    }
+
     /// Whether the nodes of this shell can hear DDS.
     ///
     /// # Errors
@@ -179,6 +195,15 @@ mod tests {
         let lines = DdsEnvironment::not_honoured(|name| (name != "CYCLONEDDS_URI").then(|| "x".to_owned()));
         assert_eq!(lines.len(), 4);
         assert!(lines[0].starts_with("ROS_STATIC_PEERS is not honoured"));
+    }
+
+    #[test]
+    #[cfg(feature = "jazzy")]
+    fn later_releases_are_no_error() {
+        for distro in [None, Some(""), Some("jazzy"), Some("kilted"), Some("lyrical"), Some("rolling")] {
+            assert_eq!(DdsEnvironment::other_release(distro), None);
+        }
+        assert!(DdsEnvironment::other_release(Some("humble")).unwrap().contains("humble"));
     }
 
     #[test]

@@ -58,7 +58,11 @@ impl Node for Bridge {
         let publisher = PosePublisher::new(&mut participant, &names, &config)?;
         let camera = LiveCamera::open(&mut participant, &names, &config, context)?;
         names.warn_of_unused();
-        let (ledger, reported) = (Ledger::default(), Instant::now());
+        let (mut ledger, reported) = (Ledger::default(), Instant::now());
+        let variable = |name: &str| std::env::var_os(name).map(|value| value.to_string_lossy().into_owned());
+        DdsEnvironment::not_honoured(variable).into_iter().for_each(|line| ledger.say(line));
+        let other = DdsEnvironment::other_release(variable("ROS_DISTRO").as_deref());
+        other.into_iter().for_each(|line| ledger.say(line));
         Ok(Self { publisher, camera, names, ledger, reported, participant })
     }
 

@@ -11,7 +11,9 @@ pub(crate) mod eval;
 pub(crate) mod export;
 mod frames;
 mod inherit;
+pub(crate) mod interface;
 pub(crate) mod pretrain;
+pub(crate) mod ros_args;
 pub(crate) mod run;
 
 /// An error and its causes in one line, none said twice.
