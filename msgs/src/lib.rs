@@ -33,6 +33,7 @@ mod pictures;
 mod pseudo_labels;
 mod rectangles;
 mod reference_views;
+mod wanted;
 
 pub use camera_frame::{CameraFrame, CameraFrameHeader, CameraFrameMut, FRAME_ID_BYTES};
 pub use flow_fields::{FlowFields, FlowFieldsHeader, FlowFieldsMut};
@@ -45,6 +46,7 @@ pub use pictures::Pictures;
 pub use pseudo_labels::{InstanceLabels, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut};
 pub use rectangles::{Rectangle, Rectangles, RectanglesHeader};
 pub use reference_views::{Partner, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut};
+pub use wanted::{Wanted, WantedHeader};
 
 use bytemuck::{Pod, Zeroable};
 

@@ -36,3 +36,12 @@ pub(crate) fn progress_bar(length: u64, what: &str) -> indicatif::ProgressBar {
     bar.set_prefix(what.to_owned());
     bar
 }
+
+/// A count on standard error of what has no known length, silent where that is no terminal.
+pub(crate) fn progress_spinner(what: &str) -> indicatif::ProgressBar {
+    let bar = indicatif::ProgressBar::new_spinner();
+    let style = indicatif::ProgressStyle::with_template("{spinner} {pos} {prefix} {elapsed}");
+    bar.set_style(style.unwrap_or_else(|_| indicatif::ProgressStyle::default_spinner()));
+    bar.set_prefix(what.to_owned());
+    bar
+}

@@ -25,6 +25,8 @@ enum Command {
     Run(commands::run::Args),
     /// Checks a graph without starting anything.
     Check(commands::run::CheckArgs),
+    /// Draws a graph: mermaid text, as GitHub and many editors show it.
+    Graph(commands::run::DrawArgs),
     /// Prints the JSON schema of graphs.
     Schema,
     /// Prints the page about ROS 2: topics, settings, arguments.
@@ -58,6 +60,7 @@ fn registry() -> Registry {
     Registry::new()
         .with::<pseudoflow_player::PlayerNode>()
         .with::<pseudoflow_initializer::InitializerNode>()
+        .with::<pseudoflow_tracker::TrackerNode>()
         .with::<pseudoflow_renderer::RendererNode>()
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_consistency::ConsistencyNode>()
@@ -106,6 +109,7 @@ fn dispatch(command: Command, ros: &RosArgs) -> Result<ExitCode> {
         Command::Run(args) => commands::run::run(&args, ros),
         Command::Ablate(args) => commands::ablate::run(&args),
         Command::Check(args) => commands::run::check(&args),
+        Command::Graph(args) => commands::run::draw(&args),
         Command::Schema => commands::run::schema(),
         Command::Interface => commands::interface::run(),
         Command::Node(args) => commands::run::node(&args),

@@ -219,7 +219,9 @@ fn set_parameter(graph: &mut Graph, bridge: Option<&str>, key: &str, value: Valu
     }
     let first = key.split('.').next().unwrap_or_default();
     let text = serde_yaml::to_string(&value).unwrap_or_default();
-    let of_graph = ["seed", "window", "restarts", "mode"].contains(&key) || graph.nodes.contains_key(first);
+    let of_graph = ["seed", "window", "restarts", "mode"].contains(&key)
+        || graph.params.contains_key(key)
+        || graph.nodes.contains_key(first);
     match bridge {
         _ if of_graph => Ok(graph.set(key, text.trim_end())?),
         Some(bridge) => set(graph, bridge, &key.split('.').collect::<Vec<_>>(), value),

@@ -8,6 +8,7 @@ mod error;
 pub mod graph;
 mod histogram;
 mod ipc;
+pub mod local;
 mod node;
 mod plan;
 mod registry;

@@ -33,6 +33,8 @@ pub(crate) struct PlannedInput {
     /// The producer's port.
     pub(crate) output: String,
     pub(crate) latest: bool,
+    /// As [`PortSpec::queued`].
+    pub(crate) queued: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -51,8 +53,9 @@ impl PlannedOutput {
 }
 
 impl Plan {
-    /// Resolves a graph, after checking its wiring (not the nodes' configurations).
+    /// Resolves a graph, its parameters too, after checking its wiring (not the nodes' configurations).
     pub(crate) fn new(graph: &Graph, registry: &Registry) -> Result<Self, GraphError> {
+        let graph = &graph.resolved().map_err(GraphError::Problems)?;
         crate::graph::check_wiring(graph, registry).map_err(GraphError::Problems)?;
         let wiring = Wiring::new(graph, registry);
         let nodes: Vec<_> = wiring.nodes.iter().enumerate().map(|(i, _)| wiring.plan(i)).collect();
@@ -174,7 +177,9 @@ impl<'a> Wiring<'a> {
             Role::Sink | Role::ReplaySource | Role::LiveSource => true,
             Role::Transform => {
                 let mut out = edges.iter().filter(|edge| edge.from == node).peekable();
-                out.peek().is_some() && out.all(|edge| self.is_feedback(edge))
+                // In live mode nobody waits for what may come at any time.
+                let late = |edge: &Edge| edge.input.queued && self.graph.mode == Mode::Live;
+                out.peek().is_some() && out.all(|edge| self.is_feedback(edge) && !late(edge))
             }
         };
         joins && ends
@@ -195,6 +200,7 @@ impl<'a> Wiring<'a> {
             producer: edge.from,
             output: edge.output.port.clone(),
             latest: edge.input.latest,
+            queued: edge.input.queued,
         });
         let to = |port: &PortSpec, latest: bool| {
             let goes = |e: &&Edge| e.from == node && e.sends.name == port.name && e.input.latest == latest;

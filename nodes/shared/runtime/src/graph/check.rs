@@ -7,7 +7,8 @@ use crate::{PortSpec, Registry, Role};
 /// # Errors
 /// All problems that were found, each with file, node, field and remedy.
 pub fn check(graph: &Graph, registry: &Registry) -> Result<(), Vec<Problem>> {
-    let mut check = Check::of_wiring(graph, registry);
+    let graph = graph.resolved()?;
+    let mut check = Check::of_wiring(&graph, registry);
     check.configurations();
     check.result()
 }

@@ -85,6 +85,7 @@ impl<N: Node> Runner<'_, N> {
         }
         let objects = N::objects(&frame);
         drop(frame);
+        self.intake.forget_queued();
         self.links.ring_consumers();
         if plan.nodes[*me].acknowledges {
             let safe = self.node.safe_until(index + 1);

@@ -35,6 +35,7 @@ use intake::Intake;
 pub(crate) use intake::topic;
 use links::Links;
 use outputs::IpcOutputs;
+pub(crate) use outputs::OutputError;
 use std::path::{Path, PathBuf};
 
 /// Folder within the run's folder for what only the running processes need.
@@ -74,6 +75,17 @@ pub enum RunError {
         node: String,
         /// What failed.
         source: IpcError,
+    },
+    /// A live graph where nodes run one after the other.
+    #[error("a live graph needs a process for each node: write `mode: replay`, or `pseudoflow run`")]
+    LiveInProcess,
+    /// Nobody can go on.
+    #[error("nothing moves any more: {causes}; at most {window} frames are in flight: is `window` large enough?")]
+    Stalled {
+        /// Which nodes wait for what.
+        causes: String,
+        /// Frames in flight.
+        window: u64,
     },
     /// The node itself.
     #[error("node `{node}`: {place}: {cause}")]

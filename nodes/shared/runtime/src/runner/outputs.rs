@@ -8,7 +8,7 @@ use pseudoflow_msgs::FrameKey;
 
 /// What a node did with its outputs that nobody could join.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum OutputError {
+pub(crate) enum OutputError {
     #[error("there is no output `{0}`: the node's `outputs()` names all of them")]
     Unknown(String),
     #[error("output `{0}` was sent twice for one frame: send each output once")]

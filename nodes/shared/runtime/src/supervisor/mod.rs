@@ -118,7 +118,8 @@ pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summ
     let plan = Plan::new(graph, registry)?;
     let territory = territory::Territory::claim(&options.run_dir, plan.nodes.len())?;
     let file = options.run_dir.join("graph.yaml");
-    std::fs::write(&file, graph.to_yaml()?).map_err(|source| SupervisorError::File { path: file.clone(), source })?;
+    let as_it_runs = graph.resolved().map_err(GraphError::Problems)?.to_yaml()?;
+    std::fs::write(&file, as_it_runs).map_err(|source| SupervisorError::File { path: file.clone(), source })?;
     let result = control::Control::new(&plan, &territory, options, &file)?.run();
     let summary = Summary::of(&plan, territory.board());
     drop(territory);

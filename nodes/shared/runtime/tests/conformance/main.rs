@@ -2,6 +2,7 @@
 //! again as each node. One suite for what delivery promises: order, completeness, windows, restarts, stops.
 
 mod live;
+mod local;
 mod replay;
 mod scene;
 mod stop;
@@ -44,7 +45,7 @@ fn run_tests() -> ExitCode {
     let mut arguments = Arguments::from_args();
     // Each test is several processes; more than two tests at once only wait for each other.
     arguments.test_threads = arguments.test_threads.or(Some(2));
-    let tests = replay::tests().into_iter().chain(live::tests()).chain(stop::tests());
+    let tests = replay::tests().into_iter().chain(local::tests()).chain(live::tests()).chain(stop::tests());
     libtest_mimic::run(&arguments, tests.collect()).exit_code()
 }
 
