@@ -46,6 +46,7 @@ const SHARED: [&str; 10] = [
     "pseudoflow-solver",
     "pseudoflow-tracking",
     "pseudoflow-metrics",
+    "pseudoflow-edge",
     "pseudoflow-runtime",
 ];
 

@@ -11,7 +11,10 @@ pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod export;
 mod frames;
+mod inherit;
+pub(crate) mod interface;
 pub(crate) mod pretrain;
+pub(crate) mod ros_args;
 pub(crate) mod run;
 
 /// An error and its causes in one line, none said twice.

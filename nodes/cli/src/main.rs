@@ -5,6 +5,7 @@ mod pipeline;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use commands::ros_args::{self, RosArgs};
 use pseudoflow_runtime::Registry;
 use std::process::ExitCode;
 
@@ -28,6 +29,8 @@ enum Command {
     Graph(commands::run::DrawArgs),
     /// Prints the JSON schema of graphs.
     Schema,
+    /// Prints the page about ROS 2: topics, settings, arguments.
+    Interface,
     /// One node of a run, as the supervisor starts it.
     #[command(hide = true)]
     Node(commands::run::NodeArgs),
@@ -72,12 +75,29 @@ fn registry() -> Registry {
 }
 
 /// Quiet libraries: RustDDS calls each datagram that it cannot use an error.
-const LOG_FILTER: &str = "info,rustdds=off,ros2_client=error,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,\
+const LOG_FILTER: &str = "rustdds=off,ros2_client=error,ros2_client::distributions=off,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,\
     ort=warn,cubecl=warn,burn=warn";
 
+/// Where `--log-level` of `--ros-args` reaches the processes of a graph.
+const LEVEL_VARIABLE: &str = "PSEUDOFLOW_LOG_LEVEL";
+
 fn main() -> ExitCode {
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or(LOG_FILTER)).init();
-    match dispatch(Cli::parse().command) {
+    let (ours, ros) = ros_args::split(std::env::args());
+    let ros = match RosArgs::parse(&ros) {
+        Ok(ros) => ros,
+        Err(error) => {
+            eprintln!("error: {}", commands::chain(&error));
+            return ExitCode::from(2);
+        }
+    };
+    if let Some(level) = &ros.log_level {
+        // SAFETY: no other thread has been started.
+        unsafe { std::env::set_var(LEVEL_VARIABLE, level) };
+    }
+    let level = std::env::var(LEVEL_VARIABLE).unwrap_or_else(|_| "info".to_owned());
+    let filter = format!("{level},{LOG_FILTER}");
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or(filter)).init();
+    match dispatch(Cli::parse_from(ours).command, &ros) {
         Ok(code) => code,
         Err(error) => {
             eprintln!("error: {}", commands::chain(&error));
@@ -86,14 +106,15 @@ fn main() -> ExitCode {
     }
 }
 
-fn dispatch(command: Command) -> Result<ExitCode> {
+fn dispatch(command: Command, ros: &RosArgs) -> Result<ExitCode> {
     match command {
         Command::Demo(args) => commands::demo::run(&args),
-        Command::Run(args) => commands::run::run(&args),
+        Command::Run(args) => commands::run::run(&args, ros),
         Command::Ablate(args) => commands::ablate::run(&args),
         Command::Check(args) => commands::run::check(&args),
         Command::Graph(args) => commands::run::draw(&args),
         Command::Schema => commands::run::schema(),
+        Command::Interface => commands::interface::run(),
         Command::Node(args) => commands::run::node(&args),
         Command::Pretrain(args) => commands::pretrain::run(&args),
         Command::Adapt(args) => commands::adapt::run(&args),

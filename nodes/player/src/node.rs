@@ -3,6 +3,8 @@ use crate::sampling::{Sample, Sampler, Sampling};
 use crate::several::Several;
 use crate::source::FrameFacts;
 use crate::{BagOptions, BagSource, BopSource, FrameSource, LoadedFrame, PlayerError};
+use pseudoflow_edge::camera::read_calibration;
+use pseudoflow_edge::naming_of;
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_msgs::ros::Naming;
 use pseudoflow_msgs::{
@@ -35,9 +37,12 @@ pub struct PlayerConfig {
     /// Topic of the CameraInfo; without: the only one.
     #[serde(default)]
     pub camera_info_topic: Option<String>,
-    /// Whether the images of a bag are rectified, so that CameraInfo's P holds instead of K.
+    /// Whether the images of a bag are rectified, so that CameraInfo's P holds instead of K and D. Else they are rectified here.
     #[serde(default)]
     pub rectified: bool,
+    /// Calibration of a bag's camera (YAML of camera_calibration) instead of a CameraInfo topic.
+    #[serde(default)]
+    pub calibration: Option<PathBuf>,
     /// Only initial poses of these objects; all without.
     #[serde(default)]
     pub only_objects: Option<Vec<u32>>,
@@ -79,6 +84,7 @@ impl PlayerConfig {
             image_topic: None,
             camera_info_topic: None,
             rectified: false,
+            calibration: None,
             only_objects: None,
             hz: None,
             max_frames: None,
@@ -130,6 +136,7 @@ fn open(config: &PlayerConfig, path: &Path, naming: Naming) -> Result<Box<dyn Fr
         camera_info_topic: config.camera_info_topic.clone(),
         poses_topic: config.initial_poses.topic.clone(),
         rectified: config.rectified,
+        calibration: config.calibration.as_deref().map(read_calibration).transpose()?,
         naming,
     };
     Ok(Box::new(BagSource::open(path, &options)?))
@@ -278,6 +285,7 @@ impl Node for PlayerNode {
         if config.hz.is_some_and(|hz| !(0.01..=1000.0).contains(&hz)) {
             return Err("`hz`: give a rate of 0.01 to 1000 frames per second, or leave it out".into());
         }
+        config.calibration.as_deref().map(read_calibration).transpose()?;
         if config.max_frames == Some(0) {
             return Err("`max_frames: 0`: give at least 1, or leave it out".into());
         }
@@ -286,9 +294,7 @@ impl Node for PlayerNode {
 
     fn create(config: PlayerConfig, context: &Context) -> Result<Self, NodeError> {
         let objects = config.objects.as_deref().map(ObjectSet::load).transpose()?;
-        let names = objects.iter().flat_map(ObjectSet::iter).map(|o| (o.id, o.name.clone())).collect();
-        let naming =
-            Naming::new(names).map_err(|name| format!("names.json: two objects are called `{name}`: rename one"))?;
+        let naming = objects.as_ref().map(naming_of).transpose()?.unwrap_or_default();
         let source = open_all(&config, &naming)?;
         let poses = config.initial_poses.file.as_deref().map(GivenPoses::read).transpose()?;
         if let Some(set) = &objects {

@@ -1,3 +1,4 @@
+use super::ros_args::RosArgs;
 use anyhow::{Context as _, Result};
 use pseudoflow_runtime::{Graph, graph, local, supervisor};
 use std::path::{Path, PathBuf};
@@ -16,6 +17,9 @@ pub(crate) struct Args {
     /// Run all nodes in this process, one after the other: the same results, slower, and easy to debug. Replay graphs only.
     #[arg(long)]
     in_process: bool,
+    /// Goes on under `RMW_IMPLEMENTATION=rmw_zenoh_cpp`, whose nodes do not hear DDS.
+    #[arg(long)]
+    allow_rmw_mismatch: bool,
 }
 
 #[derive(clap::Args)]
@@ -49,6 +53,13 @@ pub(crate) struct NodeArgs {
 }
 
 pub(crate) fn read_graph(path: &Path, overrides: &[String]) -> Result<Graph> {
+    let mut graph = read_stated(path, overrides)?;
+    super::inherit::fill_in(&mut graph);
+    Ok(graph)
+}
+
+/// The graph as file and overrides state it.
+fn read_stated(path: &Path, overrides: &[String]) -> Result<Graph> {
     let mut graph = Graph::read(path)?;
     for text in overrides {
         let (key, value) = text.split_once('=').with_context(|| format!("`--set {text}`: write KEY=VALUE"))?;
@@ -57,13 +68,27 @@ pub(crate) fn read_graph(path: &Path, overrides: &[String]) -> Result<Graph> {
     Ok(graph)
 }
 
-pub(crate) fn run(args: &Args) -> Result<ExitCode> {
-    let graph = read_graph(&args.graph, &args.overrides)?;
+/// `ros` is what stood behind `--ros-args` on the command line.
+pub(crate) fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode> {
+    let mut graph = read_stated(&args.graph, &args.overrides)?;
+    ros.apply(&mut graph)?;
+    if args.allow_rmw_mismatch {
+        allow_rmw_mismatch(&mut graph);
+    }
+    super::inherit::fill_in(&mut graph);
     if args.in_process {
         return run_in_process(&graph, &args.out);
     }
     supervisor::run(&graph, &crate::registry(), &supervisor::Options::new(&args.out))?;
     Ok(ExitCode::SUCCESS)
+}
+
+fn allow_rmw_mismatch(graph: &mut Graph) {
+    for node in graph.nodes.values_mut().filter(|node| node.kind == "bridge") {
+        if let Some(config) = node.config.as_mapping_mut() {
+            config.insert("allow_rmw_mismatch".into(), true.into());
+        }
+    }
 }
 
 fn run_in_process(graph: &Graph, out: &Path) -> Result<ExitCode> {
