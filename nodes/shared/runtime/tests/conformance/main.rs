@@ -2,8 +2,8 @@
 //! again as each node. One suite for what delivery promises: order, completeness, windows, restarts, stops.
 
 mod live;
-mod local;
 mod liveness;
+mod local;
 mod replay;
 mod scene;
 mod stop;
