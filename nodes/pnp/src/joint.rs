@@ -260,7 +260,7 @@ fn of_pictures(
     let blocks_across = config.gate.clone().unwrap_or_default().blocks_across;
     let evidence = evidence(planes, &solved, blocks_across, gate)?;
     let threshold_px = config.solver.clone().scaled_to(planes.field.size_px).threshold_px;
-    Ok(Features::of(&solved, &evidence, &planes.scale(threshold_px)))
+    Ok(planes.features(&solved, &evidence, threshold_px))
 }
 
 fn message_status(status: RegionStatus) -> PoseStatus {

@@ -72,7 +72,7 @@ impl PnpNode {
         let config = self.config.gate.clone().unwrap_or_default();
         let evidence = evidence(planes, found, config.blocks_across, &mut self.gate)?;
         let threshold_px = self.solver(planes.field.size_px)?.config().threshold_px;
-        let features = Features::of(found, &evidence, &planes.scale(threshold_px));
+        let features = planes.features(found, &evidence, threshold_px);
         let verdict = self.model.verdict(&features);
         let decision = config.decide(found, &evidence, &verdict, planes.field.size_px);
         let refused = self.config.gate.is_some() && !decision.accept;
