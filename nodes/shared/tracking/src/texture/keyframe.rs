@@ -1,4 +1,4 @@
-use super::pyramid::Pyramid;
+use super::pyramid::{Level, Pyramid};
 use nalgebra::{Matrix2, Matrix2x3, Point3, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::raster::{Background, Item, Scene, Scratch};
@@ -28,7 +28,7 @@ pub(crate) struct Keyframe {
 /// Makes keyframes. Holds its working memory.
 #[derive(Debug, Default)]
 pub(crate) struct Maker {
-    scratch: Scratch,
+    pub(super) scratch: Scratch,
 }
 
 /// Points of a keyframe, at most.
@@ -61,7 +61,7 @@ fn slope(point: &Point3<f64>, along: &[Vector3<f64>; 2], camera: &Intrinsics) ->
 impl Maker {
     /// A keyframe of the first of `items`, which the others may hide. `None` when too little texture is seen.
     pub(crate) fn make(&mut self, pyramid: &Arc<Pyramid>, items: &[Item<'_>], camera: &Intrinsics) -> Option<Keyframe> {
-        let window = Window::around(&items[0], camera, pyramid)?;
+        let window = Window::around(&items[0], camera, &pyramid.levels[0])?;
         let scene = Scene {
             items,
             intrinsics: Intrinsics { cx: camera.cx - window.x0 as f64, cy: camera.cy - window.y0 as f64, ..*camera },
@@ -105,15 +105,15 @@ impl Maker {
 }
 
 /// The part of the image that shows an object.
-struct Window {
-    x0: usize,
-    y0: usize,
-    width: usize,
-    height: usize,
+pub(super) struct Window {
+    pub(super) x0: usize,
+    pub(super) y0: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
 }
 
 impl Window {
-    fn around(item: &Item<'_>, camera: &Intrinsics, pyramid: &Pyramid) -> Option<Self> {
+    pub(super) fn around(item: &Item<'_>, camera: &Intrinsics, level: &Level) -> Option<Self> {
         let (low, high) = item.mesh.bounds_m();
         let (mut least, mut most) = ([f64::MAX; 2], [f64::MIN; 2]);
         for i in 0..8 {
@@ -124,7 +124,6 @@ impl Window {
                 (least[k], most[k]) = (least[k].min(at[k]), most[k].max(at[k]));
             }
         }
-        let level = &pyramid.levels[0];
         let within = |v: f64, size: usize| v.clamp(0.0, size as f64) as usize;
         let (x0, y0) = (within(least[0], level.width), within(least[1], level.height));
         let (x1, y1) = (within(most[0] + 1.0, level.width), within(most[1] + 1.0, level.height));
