@@ -54,10 +54,12 @@ impl Tracker {
 
     /// Whether what was found elsewhere goes before what was predicted. Textures are those of the prediction's own keyframes, so
     /// contours are compared, and renderings of the mesh with the picture.
-    pub(crate) fn prefers(&self, own: &Trial, other: &Trial, correction: &Correction) -> bool {
+    pub(crate) fn prefers(&self, own: &Trial, other: &Trial, correction: &Correction, tracked: bool) -> bool {
         let (before, after) = (own.evidence.of_contour(), other.evidence.of_contour());
         let enough = other.evidence.seen() >= self.config.min_seen;
-        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE {
+        let trusted = correction.kind == CorrectionKind::Look { accepted: true } || !tracked;
+        let sure = other.confidence >= self.config.min_confidence;
+        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure) {
             return true;
         }
         let told = own.evidence.contrast.min(other.evidence.contrast) > TELLING;
@@ -76,5 +78,5 @@ impl Tracker {
 /// How much less sure a contour may be of a pose that a look has found: a look sees what is inside of it.
 const LOOK_BONUS: f64 = 0.2;
 /// Contrast (as in the evidence) from which renderings tell poses apart, and the difference of correlations that does.
-const TELLING: f64 = 0.3;
-const ALIKE: f64 = 0.04;
+pub(crate) const TELLING: f64 = 0.3;
+pub(crate) const ALIKE: f64 = 0.04;

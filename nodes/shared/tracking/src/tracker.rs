@@ -343,7 +343,7 @@ impl Tracker {
             let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
             if search && (trial.confidence > own.confidence || given_up) {
                 best = Some(self.begin(i, now, trial));
-            } else if !search && self.prefers(&own, &trial, correction) {
+            } else if !search && self.prefers(&own, &trial, correction, self.tracks[i].phase == Phase::Tracking) {
                 self.jump(i, &trial);
                 best = Some(trial);
             }
@@ -362,10 +362,7 @@ impl Tracker {
 
     fn likeness(&mut self, i: usize, now: &Now<'_>, pose: &Pose, poses: &[Pose]) -> Option<Likeness> {
         let Self { maker, objects, tracks, .. } = self;
-        let item = |j: usize, pose: &Pose| Item { mesh: &objects[tracks[j].object].mesh, camera_from_object: *pose };
-        let others = (0..tracks.len()).filter(|j| *j != i && tracks[*j].known && tracks[*j].phase == Phase::Tracking);
-        let items: Vec<Item<'_>> =
-            std::iter::once(item(i, pose)).chain(others.map(|j| item(j, &poses[j]))).collect();
+        let items = items(objects, tracks, i, pose, poses);
         maker.likeness(now.pyramid, &items, &now.frame.intrinsics)
     }
 
@@ -380,7 +377,31 @@ impl Tracker {
         for i in due.into_iter().take(at_most) {
             self.tracks[i].compared_at = now.frame.index + 1;
             self.tracks[i].likeness = self.likeness(i, now, &poses[i], &poses);
+            if let Some(trial) = self.anchored(i, now, &poses) {
+                trials[i] = Some(trial);
+            }
         }
+    }
+
+    /// A pose that the mesh itself, rendered where the object is believed to be, is more like than there.
+    fn anchored(&mut self, i: usize, now: &Now<'_>, poses: &[Pose]) -> Option<Trial> {
+        let before = self.tracks[i].likeness.filter(|l| l.contrast > ANCHOR_CONTRAST && l.correlation < ANCHORED)?;
+        let keyframe = {
+            let Self { maker, objects, tracks, .. } = self;
+            maker.rendered(now.pyramid, &items(objects, tracks, i, &poses[i], poses), &now.frame.intrinsics)?
+        };
+        let wide = Now { gap_s: now.gap_s.max(ANCHOR_GAP_S), ..*now };
+        let trial = self.follow_with(i, &wide, &poses[i], poses, &[keyframe]);
+        if trial.evidence.seen() < self.config.min_seen {
+            return None;
+        }
+        let after = self.likeness(i, now, &trial.pose, poses)?;
+        if after.correlation < before.correlation + ANCHOR_GAIN {
+            return None;
+        }
+        self.jump(i, &trial);
+        self.tracks[i].likeness = Some(after);
+        Some(trial)
     }
 
     /// A pose that others have found, in this frame.
@@ -563,8 +584,15 @@ impl Tracker {
 
 /// A picture whose brightness has a smaller standard deviation shows nothing, grey levels.
 const DARK_SPREAD: f32 = 2.0;
+/// Renderings less like the picture than this are moved to it, if they have so much contrast (grey levels); by at least so much
+/// they must then be more alike.
+const ANCHORED: f64 = 0.8;
+const ANCHOR_CONTRAST: f64 = 5.0;
+const ANCHOR_GAIN: f64 = 0.03;
+/// How far off a rendering may be: as far as things move in this time.
+const ANCHOR_GAP_S: f64 = 0.5;
 /// Confidence from which a frame is a keyframe: a wrong one would hold the object where it is.
-const KEYFRAME_CONFIDENCE: f64 = 0.3;
+const KEYFRAME_CONFIDENCE: f64 = 0.15;
 /// Gaps of more frames than this are long.
 const LONG_FRAMES: f64 = 3.0;
 /// Frames over which rest is judged, and for how many it must last.
@@ -591,6 +619,13 @@ fn inverse(information: &Matrix6<f64>) -> Matrix6<f64> {
 
 fn poses_of(trials: &[Option<Trial>], otherwise: &[Pose]) -> Vec<Pose> {
     trials.iter().zip(otherwise).map(|(t, p)| t.map_or(*p, |t| t.pose)).collect()
+}
+
+/// An object, and the others that may hide it, to be rendered.
+fn items<'a>(objects: &'a [KnownObject], tracks: &[Track], i: usize, pose: &Pose, poses: &[Pose]) -> Vec<Item<'a>> {
+    let item = |j: usize, pose: &Pose| Item { mesh: &objects[tracks[j].object].mesh, camera_from_object: *pose };
+    let others = (0..tracks.len()).filter(|j| *j != i && tracks[*j].known && tracks[*j].phase == Phase::Tracking);
+    std::iter::once(item(i, pose)).chain(others.map(|j| item(j, &poses[j]))).collect()
 }
 
 /// The other objects that may hide one.
