@@ -1,4 +1,4 @@
-//! The rules of the house over `cargo metadata`: who may depend on whom (README, "The house").
+//! The rules of the house over `cargo metadata`: who may depend on whom (docs/architecture.md, "The house").
 
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -46,6 +46,7 @@ const SHARED: [&str; 10] = [
     "pseudoflow-solver",
     "pseudoflow-tracking",
     "pseudoflow-metrics",
+    "pseudoflow-edge",
     "pseudoflow-runtime",
 ];
 

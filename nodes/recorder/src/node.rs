@@ -1,8 +1,10 @@
+use crate::following::Following;
 use crate::overlay::{OverlayConfig, Painter};
 use crate::topics::{Extras, FrameWriter, Topics, jpeg};
+use pseudoflow_edge::Catalogue;
 use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::RgbImage;
-use pseudoflow_msgs::ros::{Header, Time};
+use pseudoflow_msgs::ros::{Header, Naming, Time};
 use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
 use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
@@ -12,7 +14,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Settings of the recorder node.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecorderConfig {
     /// Folder of the recording; must not exist yet.
@@ -30,10 +32,45 @@ pub struct RecorderConfig {
     /// stamps: a training takes its frames in an order of its own, and more than once.
     #[serde(default)]
     pub period_ms: Option<u32>,
+    /// Folder of the object set, for the names of objects; without, that of the overlay.
+    #[serde(default)]
+    pub objects: Option<PathBuf>,
+    /// The object of `/object_pose`, by name or id; without, the first that is found, until it is lost.
+    #[serde(default)]
+    pub object: Option<String>,
+    /// How long the object of `/object_pose` may be lost before another takes its place, seconds.
+    #[serde(default = "default_switch_after_s")]
+    pub switch_after_s: f64,
+}
+
+impl RecorderConfig {
+    /// Records all that comes, without overlay.
+    #[must_use]
+    pub fn new(path: PathBuf) -> Self {
+        Self {
+            path,
+            images: true,
+            jpeg_quality: default_quality(),
+            overlay: None,
+            period_ms: None,
+            objects: None,
+            object: None,
+            switch_after_s: default_switch_after_s(),
+        }
+    }
+
+    /// The object set whose names are written.
+    fn object_set(&self) -> Option<&Path> {
+        self.objects.as_deref().or(self.overlay.as_ref().map(|overlay| overlay.objects.as_path()))
+    }
 }
 
 fn yes() -> bool {
     true
+}
+
+fn default_switch_after_s() -> f64 {
+    5.0
 }
 
 fn default_quality() -> u8 {
@@ -50,13 +87,16 @@ pub struct RecorderNode {
     resumed: Option<BagWriter>,
     recorded: BTreeSet<u32>,
     painter: Option<Painter>,
+    naming: Naming,
+    followed: Following,
 }
 
 impl RecorderNode {
     fn record(&mut self, inputs: &dyn Inputs, sequence: u32) -> Result<(), NodeError> {
         let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
         let initial = optional::<ObjectPoses<'static>>(inputs, "initial_poses")?;
-        let initial: Option<Vec<ObjectPose>> = initial.map(|m| ObjectPose::likeliest(m.poses).copied().collect());
+        let initial = initial.map(|message| message.poses);
+        let likeliest: Vec<ObjectPose> = ObjectPose::likeliest(initial.unwrap_or_default()).copied().collect();
         let poses = optional::<ObjectPoses<'static>>(inputs, "poses")?.map(|message| message.poses);
         let statuses = optional::<ObjectStatuses<'static>>(inputs, "status")?.map(|message| message.statuses);
         let shown = optional::<Pictures<'static>>(inputs, "pictures")?;
@@ -66,8 +106,9 @@ impl RecorderNode {
         let header = Header { stamp, frame_id: frame.header.frame_id().to_owned() };
         let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb.to_vec());
         let image = image.ok_or("the frame has too few pixels")?;
-        let overlay =
-            self.overlay(image.clone(), &frame, initial.as_deref().unwrap_or_default(), poses.unwrap_or_default())?;
+        let overlay = self.overlay(image.clone(), &frame, &likeliest, poses.unwrap_or_default())?;
+        let followed = poses.map(|poses| self.followed.choose(inputs.key().stamp_ns, poses)).transpose()?.flatten();
+        let naming = self.naming.clone();
         let jpeg_quality = self.config.jpeg_quality;
         let pictures = self.config.overlay.as_ref().and_then(|overlay| overlay.pictures.clone());
         let extras = Extras {
@@ -78,15 +119,15 @@ impl RecorderNode {
             statuses: statuses.is_some(),
         };
         let (bag, topics) = self.open(extras)?;
-        let mut writer = FrameWriter { bag, topics, header, stamp_ns, sequence };
+        let mut writer = FrameWriter { bag, topics, naming: &naming, header, stamp_ns, sequence };
         if extras.images {
             writer.image(jpeg(&image, jpeg_quality)?, frame.header)?;
         }
         if let Some(initial) = initial {
-            writer.initial_poses(&initial)?;
+            writer.initial_poses(initial)?;
         }
         if let Some(poses) = poses {
-            writer.poses(poses)?;
+            writer.poses(poses, followed)?;
         }
         if let Some(statuses) = statuses {
             writer.statuses(statuses)?;
@@ -173,6 +214,9 @@ impl Node for RecorderNode {
         {
             return Err(format!("`overlay.objects: {}`: no models_info.json there", objects.display()).into());
         }
+        if !(config.switch_after_s >= 0.0 && config.switch_after_s.is_finite()) {
+            return Err(format!("`switch_after_s: {}`: give seconds from 0 on", config.switch_after_s).into());
+        }
         if config.path.file_name().is_none() {
             return Err(format!("`path: {}`: give the folder that the recording will be", config.path.display()).into());
         }
@@ -181,7 +225,9 @@ impl Node for RecorderNode {
 
     fn create(config: RecorderConfig, context: &Context) -> Result<Self, NodeError> {
         let painter = config.overlay.as_ref().map(Painter::open).transpose()?;
-        let mut node = Self { config, open: None, resumed: None, recorded: BTreeSet::new(), painter };
+        let naming = Catalogue::load_if(config.object_set())?.naming;
+        let followed = Following::open(&config, &naming, context)?;
+        let mut node = Self { config, open: None, resumed: None, recorded: BTreeSet::new(), painter, naming, followed };
         let path = &node.config.path;
         if context.restarts == 0 && path.exists() {
             return Err(BagError::Exists { path: path.clone() }.into());
@@ -246,8 +292,7 @@ mod tests {
     }
 
     fn recorder(folder: &std::path::Path, restarts: u32) -> RecorderNode {
-        let config =
-            RecorderConfig { path: folder.join("run"), images: true, jpeg_quality: 90, overlay: None, period_ms: None };
+        let config = RecorderConfig::new(folder.join("run"));
         RecorderNode::create(config, &context(folder, restarts)).unwrap()
     }
 
@@ -276,7 +321,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let context = context(folder.path(), 0);
         let path = folder.path().join("run");
-        let config = RecorderConfig { path, images: false, jpeg_quality: 90, overlay: None, period_ms: Some(100) };
+        let config = RecorderConfig { images: false, period_ms: Some(100), ..RecorderConfig::new(path) };
         let mut node = RecorderNode::create(config, &context).unwrap();
         // As in a training: the later frame was taken first.
         for (index, stamp_ns) in [(0, 9_000_000_000), (1, 2_000_000_000)] {
@@ -301,13 +346,7 @@ mod tests {
         let mut node = recorder(folder.path(), 0);
         node.process(&frame(0), &mut InMemory::default(), &context(folder.path(), 0)).unwrap();
         node.finish(&context(folder.path(), 0)).unwrap();
-        let config = RecorderConfig {
-            path: folder.path().join("run"),
-            images: true,
-            jpeg_quality: 90,
-            overlay: None,
-            period_ms: None,
-        };
+        let config = RecorderConfig::new(folder.path().join("run"));
         assert!(RecorderNode::create(config, &context(folder.path(), 0)).is_err());
     }
 

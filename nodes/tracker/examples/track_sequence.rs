@@ -9,16 +9,16 @@
 
 use nalgebra::Point3;
 use pseudoflow_contour::{ModelSettings, load_or_make};
+use pseudoflow_flow::{FlowConfig, FlowNode};
 use pseudoflow_geometry::Pose;
 use pseudoflow_imaging::{BopScene, ObjectSet};
 use pseudoflow_metrics::{MatrixPose, ModelPoints, SceneTruth, add_m, adi_m};
-use pseudoflow_tracking::{Correction, CorrectionKind, Estimate, Frame, KnownObject, Tracker, TrackingConfig};
-use pseudoflow_flow::{FlowConfig, FlowNode};
 use pseudoflow_msgs::{AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, ObjectPose, ObjectPoses};
 use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use pseudoflow_tracking::Look;
+use pseudoflow_tracking::{Correction, CorrectionKind, Estimate, Frame, KnownObject, Tracker, TrackingConfig};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
@@ -132,9 +132,16 @@ fn main() {
                 if let Some(t) = truths.iter().find(|t| t.object_id == c.object_id) {
                     let (points, _, d) = &points[&c.object_id];
                     let e = |p: &Pose| add_m(points, &matrix(p), &t.camera_from_object) / d;
-                    let from = wanted.iter().find(|w| w.object_id == c.object_id).map_or(0.0, |w| e(&w.camera_from_object));
+                    let from =
+                        wanted.iter().find(|w| w.object_id == c.object_id).map_or(0.0, |w| e(&w.camera_from_object));
                     if verbose {
-                        println!("look {} object {} {:?}: {from:.3} -> {:.3}", frame.image_id, c.object_id, c.kind, e(&c.camera_from_object));
+                        println!(
+                            "look {} object {} {:?}: {from:.3} -> {:.3}",
+                            frame.image_id,
+                            c.object_id,
+                            c.kind,
+                            e(&c.camera_from_object)
+                        );
                     }
                 }
             }
@@ -169,7 +176,11 @@ fn main() {
         }
     }
     report(&scored, spent_ms, frames);
-    println!("{looks_made} looks, {:.1} CPU-ms each, {:.1} a frame", look_ms / looks_made.max(1) as f64, look_ms / frames as f64);
+    println!(
+        "{looks_made} looks, {:.1} CPU-ms each, {:.1} a frame",
+        look_ms / looks_made.max(1) as f64,
+        look_ms / frames as f64
+    );
     if let Some(path) = arguments.options.get("csv") {
         write(&scored, Path::new(path));
     }
@@ -186,7 +197,8 @@ struct Network {
 impl Network {
     fn open(arguments: &Arguments, weights: &Path) -> Self {
         let number = |name: &str, default: u32| arguments.options.get(name).map_or(default, |v| v.parse().unwrap());
-        let context = Context { name: "look".into(), seed: 1, out_dir: std::env::temp_dir(), restarts: 0, replay: true };
+        let context =
+            Context { name: "look".into(), seed: 1, out_dir: std::env::temp_dir(), restarts: 0, replay: true };
         let size_px = number("size", 128);
         let flow: FlowConfig = serde_yaml::from_str(&format!(
             "{{model: {}, size_px: {size_px}, iterations: {}, engine: {{threads: 1}}}}",
@@ -194,7 +206,10 @@ impl Network {
             number("iterations", 4)
         ))
         .unwrap();
-        let pnp = arguments.options.get("pnp").map_or_else(PnpNodeConfig::default, |text| serde_yaml::from_str(text).unwrap());
+        let pnp = arguments
+            .options
+            .get("pnp")
+            .map_or_else(PnpNodeConfig::default, |text| serde_yaml::from_str(text).unwrap());
         Self {
             renderer: RendererNode::create(RendererConfig::new(arguments.models.clone(), size_px), &context).unwrap(),
             flow: FlowNode::create(flow, &context).unwrap(),

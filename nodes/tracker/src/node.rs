@@ -77,7 +77,8 @@ impl TrackerNode {
         let found = take(&mut self.found, self.config.found_delay);
         let looks = take(&mut self.looks, self.config.look_delay);
         let least = self.config.look_score;
-        let found = found.iter().flat_map(|(f, all)| all.iter().filter_map(|p| correction(*f, p, CorrectionKind::Found)));
+        let found =
+            found.iter().flat_map(|(f, all)| all.iter().filter_map(|p| correction(*f, p, CorrectionKind::Found)));
         let looks = looks.iter().flat_map(|(f, all)| all.iter().filter_map(|p| looked(*f, p, least)));
         found.chain(looks).collect()
     }

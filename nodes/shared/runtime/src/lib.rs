@@ -1,19 +1,23 @@
 //! What every node stands on: the [`Node`] trait, graphs in YAML, delivery over iceoryx2, the supervisor.
 
+mod bad;
 pub mod bag;
 mod board;
 mod clock;
 mod context;
 mod error;
+pub mod files;
 pub mod graph;
 mod histogram;
 mod ipc;
+pub mod local;
 mod node;
 mod plan;
 mod registry;
 mod runner;
 pub mod supervisor;
 
+pub use bad::{BadInput, OrBadInput, bad_input};
 pub use context::Context;
 pub use graph::{Graph, GraphError, Mode, NodeSpec, Problem};
 pub use ipc::IpcError;

@@ -290,14 +290,7 @@ impl Tracker {
         self.follow_with(i, now, start, poses, &[])
     }
 
-    fn follow_with(
-        &mut self,
-        i: usize,
-        now: &Now<'_>,
-        start: &Pose,
-        poses: &[Pose],
-        keyframes: &[Keyframe],
-    ) -> Trial {
+    fn follow_with(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose], keyframes: &[Keyframe]) -> Trial {
         let mut colours = std::mem::take(&mut self.tracks[i].colours);
         let Self { eye, objects, tracks, .. } = self;
         let hiders = hiders(objects, tracks, i, poses);
