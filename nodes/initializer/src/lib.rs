@@ -11,13 +11,16 @@ pub mod detect;
 mod error;
 mod find;
 mod fit;
+mod memory;
 mod network;
 mod node;
+mod patience;
 pub mod track;
 pub mod votes;
 
-pub use compare::{CompareConfig, Comparer, Glance, Match, Photograph};
+pub use compare::{CompareConfig, Comparer, Glance, Match, Photograph, Preparing};
 pub use error::InitializerError;
 pub use fit::Fit;
 pub use network::{Answer, DetectorNetwork};
 pub use node::{InitializerConfig, InitializerNode};
+pub use patience::SearchConfig;

@@ -50,12 +50,19 @@ pub struct PlayerConfig {
     /// plays a recording at the pace of its stamps.
     #[serde(default)]
     pub hz: Option<f64>,
+    /// Plays the recording so often, every second time backwards, so that nothing jumps where it turns. Needs `hz`.
+    #[serde(default = "once")]
+    pub passes: u32,
     /// Plays at most this many frames.
     #[serde(default)]
     pub max_frames: Option<u64>,
     /// Training: frames at random, one instance each, instead of the recording from its begin to its end.
     #[serde(default)]
     pub sampling: Option<Sampling>,
+}
+
+fn once() -> u32 {
+    1
 }
 
 /// Where initial poses come from.
@@ -87,6 +94,7 @@ impl PlayerConfig {
             calibration: None,
             only_objects: None,
             hz: None,
+            passes: once(),
             max_frames: None,
             sampling: None,
         }
@@ -204,8 +212,9 @@ impl PlayerNode {
     /// The next frame of a training: its number, and the sample that was drawn; `None` behind the last.
     fn draw(&mut self, index: u64, context: &Context) -> Option<(usize, Option<Sample>)> {
         let Some(sampling) = &self.config.sampling else {
-            let count = self.config.max_frames.unwrap_or(u64::MAX).min(self.source.count() as u64);
-            return (index < count).then_some((index as usize, None));
+            let most = self.config.max_frames.unwrap_or(u64::MAX);
+            let number = there_and_back(index, self.source.count() as u64, self.config.passes);
+            return number.filter(|_| index < most).map(|number| (number as usize, None));
         };
         let sample = self.sampler.at(sampling.first + index, |epoch| context.rng(epoch, "epoch"));
         (index < sampling.samples).then_some((sample.frame, Some(sample)))
@@ -233,6 +242,18 @@ impl PlayerNode {
             }
         })
     }
+}
+
+/// Number of the frame that is played at a place when `count` frames are played `passes` times, every second time backwards; the
+/// frames where it turns come once. `None` behind the end.
+#[must_use]
+pub fn there_and_back(index: u64, count: u64, passes: u32) -> Option<u64> {
+    let span = count.checked_sub(1)?;
+    if index > span * u64::from(passes) {
+        return None;
+    }
+    let (pass, at) = (index.checked_div(span).unwrap_or(0), index.checked_rem(span).unwrap_or(0));
+    Some(if pass % 2 == 0 { at } else { span - at })
 }
 
 fn partner(frame: &LoadedFrame, pose: usize) -> PartnerFrame {
@@ -286,6 +307,12 @@ impl Node for PlayerNode {
             return Err("`hz`: give a rate of 0.01 to 1000 frames per second, or leave it out".into());
         }
         config.calibration.as_deref().map(read_calibration).transpose()?;
+        if config.passes == 0 || (config.passes > 1 && (config.hz.is_none() || config.sampling.is_some())) {
+            return Err(
+                "`passes`: give at least 1; more than one need `hz`, since stamps cannot go back, and no `sampling`"
+                    .into(),
+            );
+        }
         if config.max_frames == Some(0) {
             return Err("`max_frames: 0`: give at least 1, or leave it out".into());
         }
@@ -334,5 +361,20 @@ impl Node for PlayerNode {
             ObjectPoses::write(bytes, header.scene_id, header.image_id, poses);
         })?;
         Ok(Produced::Frame(key))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_goes_there_and_back_without_a_jump() {
+        let played = |count, passes| (0..).map_while(|i| there_and_back(i, count, passes)).collect::<Vec<u64>>();
+        assert_eq!(played(4, 1), [0, 1, 2, 3]);
+        assert_eq!(played(4, 2), [0, 1, 2, 3, 2, 1, 0]);
+        assert_eq!(played(4, 3), [0, 1, 2, 3, 2, 1, 0, 1, 2, 3]);
+        assert_eq!(played(1, 3), [0]);
+        assert!(played(0, 1).is_empty());
     }
 }

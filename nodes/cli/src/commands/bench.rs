@@ -2,14 +2,14 @@
 //! came when, and how right it was, becomes a report.
 
 mod beside;
+pub(super) mod played;
 
 use super::run::read_graph;
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, ensure};
 use beside::Beside;
-use pseudoflow_evaluator::live::{Expectation, LiveReport, LiveRun, NodeCost, read_arrivals};
+use pseudoflow_evaluator::live::{Expectation, LiveReport};
 use pseudoflow_imaging::ObjectSet;
-use pseudoflow_player::{PlayerConfig, open_recording};
-use pseudoflow_runtime::supervisor::{self, Summary};
+use pseudoflow_runtime::Graph;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -33,6 +33,9 @@ pub(crate) struct Args {
     /// Frames per second.
     #[arg(long, default_value_t = 30.0)]
     hz: f64,
+    /// Plays it so often, every second time backwards.
+    #[arg(long, default_value_t = 1)]
+    passes: u32,
     /// Plays at most this many frames.
     #[arg(long)]
     max_frames: Option<u64>,
@@ -48,11 +51,16 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
-    let (run, asked_to_stop) = play(args)?;
-    if asked_to_stop {
+    let models = &args.objects;
+    ensure!(models.join("models_info.json").is_file(), "--objects {}: no BOP models folder", models.display());
+    // Wrong truth should not be found out after the recording was played.
+    let expectation = expectation(args)?;
+    let (objects, arrivals) = (ObjectSet::load(models)?, args.report.join("arrivals.jsonl"));
+    let graph = graph(args, &arrivals)?;
+    let Some(run) = played::play(&graph, &args.report.join("run"), &arrivals, &objects)? else {
         return Ok(ExitCode::FAILURE);
-    }
-    let report = LiveReport::new(&run, &ObjectSet::load(&args.objects)?, expectation(args)?.as_ref())?;
+    };
+    let report = LiveReport::new(&run, &objects, expectation.as_ref())?;
     report.write_json(&args.report.join("report.json"))?;
     report.write_html(&args.report.join("report.html"))?;
     println!("{report}");
@@ -68,66 +76,16 @@ fn expectation(args: &Args) -> Result<Option<Expectation>> {
     }
 }
 
-/// Plays the recording; also says whether it was asked to stop.
-fn play(args: &Args) -> Result<(LiveRun, bool)> {
-    ensure!(
-        args.objects.join("models_info.json").is_file(),
-        "--objects {}: no BOP models folder",
-        args.objects.display()
-    );
-    // Wrong truth should not be found out after the recording was played.
-    expectation(args)?;
-    let frames = frames(args)?;
-    let arrivals = args.report.join("arrivals.jsonl");
-    let beside = Beside {
-        source: &args.source,
-        objects: &args.objects,
-        hz: args.hz,
-        max_frames: args.max_frames,
-        arrivals: &arrivals,
-    };
+/// The graph beside the recording.
+fn graph(args: &Args, arrivals: &Path) -> Result<Graph> {
+    let (source, objects) = (args.source.as_path(), args.objects.as_path());
+    let beside = Beside { source, objects, hz: args.hz, passes: args.passes, max_frames: args.max_frames, arrivals };
     let mut graph = beside.graph(read_graph(&args.graph, &[])?)?;
     for text in &args.overrides {
         let (key, value) = text.split_once('=').with_context(|| format!("`--set {text}`: write KEY=VALUE"))?;
         graph.set(key, value)?;
     }
-    let folder = args.report.join("run");
-    if folder.exists() {
-        std::fs::remove_dir_all(&folder).with_context(|| format!("{}: cannot be replaced", folder.display()))?;
-    }
-    let summary = supervisor::run(&graph, &crate::registry(), &supervisor::Options::new(&folder))?;
-    let run = LiveRun {
-        source: args.source.display().to_string(),
-        graph: args.graph.display().to_string(),
-        hz: args.hz,
-        nodes: costs(&summary, frames.len()),
-        frames,
-        arrivals: read_arrivals(&arrivals)?,
-        startup_s: summary.startup_s.unwrap_or(0.0),
-    };
-    Ok((run, summary.asked_to_stop))
-}
-
-/// Scene and image of each frame that will be played.
-fn frames(args: &Args) -> Result<Vec<(u32, u32)>> {
-    let mut source = open_recording(&PlayerConfig::new(args.source.clone())).context("--source")?;
-    let count = args.max_frames.map_or(source.count(), |most| source.count().min(most as usize));
-    if count == 0 {
-        bail!("--source {}: no frame in it", args.source.display());
-    }
-    let ids = (0..count).map(|number| source.facts(number).map(|facts| (facts.scene_id, facts.image_id)));
-    Ok(ids.collect::<Result<_, _>>()?)
-}
-
-/// What each node used; the stopwatch and the player are no part of what is measured, but run beside it.
-fn costs(summary: &Summary, frames: usize) -> Vec<(String, NodeCost)> {
-    let cost = |node: &supervisor::NodeSummary| NodeCost {
-        cpu_ms_per_frame: node.cpu_ms[1] / frames.max(1) as f64,
-        startup_cpu_ms: node.cpu_ms[0],
-        frames: node.frames,
-        work_ms: node.work_ms,
-    };
-    summary.nodes.iter().map(|node| (node.name.clone(), cost(node))).collect()
+    Ok(graph)
 }
 
 /// A path as graphs write it.

@@ -1,6 +1,7 @@
 use crate::ImagingError;
 use image::{
-    DynamicImage, ExtendedColorType, ImageEncoder, RgbImage, codecs::jpeg::JpegEncoder, codecs::png::PngEncoder,
+    Delay, DynamicImage, ExtendedColorType, Frame, ImageEncoder, RgbImage, codecs::gif::GifEncoder,
+    codecs::gif::Repeat, codecs::jpeg::JpegEncoder, codecs::png::PngEncoder,
 };
 use std::path::Path;
 
@@ -92,6 +93,28 @@ pub fn encode_jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>, ImagingErro
     Ok(bytes)
 }
 
+/// GIF bytes of an animation that repeats for ever. Of each colour the upper five bits are kept: camera noise would make the file
+/// several times as large.
+///
+/// # Errors
+/// When the encoder fails (images without pixels, or of different sizes).
+pub fn encode_gif(images: &[RgbImage], ms_per_image: u32) -> Result<Vec<u8>, ImagingError> {
+    const SPEED: i32 = 10; // of choosing colours, 1 (best) to 30
+    let failed = |source| ImagingError::Image { path: "(GIF encoder)".into(), source };
+    let mut bytes = Vec::new();
+    let mut encoder = GifEncoder::new_with_speed(&mut bytes, SPEED);
+    encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
+    for image in images {
+        let mut calm = DynamicImage::ImageRgb8(image.clone()).into_rgba8();
+        calm.iter_mut().for_each(|v| *v = (*v & 0xf8) | 4);
+        calm.pixels_mut().for_each(|pixel| pixel[3] = 255);
+        let delay = Delay::from_numer_denom_ms(ms_per_image, 1);
+        encoder.encode_frame(Frame::from_parts(calm, 0, 0, delay)).map_err(failed)?;
+    }
+    drop(encoder);
+    Ok(bytes)
+}
+
 /// Writes a PNG file.
 ///
 /// # Errors
@@ -113,6 +136,18 @@ mod tests {
         let jpeg = decode_rgb(&encode_jpeg(&image, 95).unwrap(), "jpeg").unwrap();
         let worst = jpeg.as_raw().iter().zip(image.as_raw()).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
         assert!(worst < 40, "{worst}");
+    }
+
+    #[test]
+    fn an_animation_has_its_pictures_in_their_order() {
+        use image::AnimationDecoder;
+        let images = [0, 120, 240].map(|red| RgbImage::from_pixel(20, 10, Rgb([red, 60, 60])));
+        let bytes = encode_gif(&images, 100).unwrap();
+        let decoder = image::codecs::gif::GifDecoder::new(std::io::Cursor::new(bytes)).unwrap();
+        let frames = decoder.into_frames().collect_frames().unwrap();
+        let reds: Vec<i32> = frames.iter().map(|frame| i32::from(frame.buffer().get_pixel(5, 5)[0])).collect();
+        assert!(reds.iter().zip([0, 120, 240]).all(|(red, was)| (red - was).abs() < 12), "{reds:?}");
+        assert_eq!(frames[1].delay().numer_denom_ms(), (100, 1));
     }
 
     #[test]

@@ -88,8 +88,8 @@ impl Default for TrackingConfig {
             look_every_s: 1.0,
             look_again_s: 0.2,
             look_timeout_s: 1.0,
-            budget_ms: 20.0,
-            look_ms: 60.0,
+            budget_ms: 10.0,
+            look_ms: 30.0,
             looks_at_once: 2,
             covariance_scale: 1.0,
         }

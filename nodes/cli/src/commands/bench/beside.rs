@@ -20,6 +20,8 @@ pub(crate) struct Beside<'a> {
     pub(crate) objects: &'a Path,
     /// Frames per second.
     pub(crate) hz: f64,
+    /// How often it is played, every second time backwards.
+    pub(crate) passes: u32,
     pub(crate) max_frames: Option<u64>,
     /// The stopwatch's file.
     pub(crate) arrivals: &'a Path,
@@ -64,6 +66,7 @@ impl Beside<'_> {
         }
         config.insert("source".into(), text(self.source));
         config.insert("hz".into(), self.hz.into());
+        config.insert("passes".into(), self.passes.into());
         if let Some(most) = self.max_frames {
             config.insert("max_frames".into(), most.into());
         }
@@ -116,7 +119,7 @@ mod tests {
         std::env::set_current_dir(&root).unwrap();
         let [source, objects] = ["bags/tabletop_demo", "config/objects/tabletop"].map(Path::new);
         let arrivals = Path::new("out/a.jsonl");
-        let beside = Beside { source, objects, hz: 15.0, max_frames: Some(4), arrivals };
+        let beside = Beside { source, objects, hz: 15.0, passes: 1, max_frames: Some(4), arrivals };
         beside.graph(Graph::read(&root.join("config/graphs").join(file)).unwrap()).unwrap()
     }
 

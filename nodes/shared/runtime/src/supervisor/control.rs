@@ -258,7 +258,8 @@ impl<'a> Control<'a> {
             }
         }
         if self.table.is_due() {
-            self.table.show(&Summary::of(self.plan, self.board).to_string());
+            let below = self.options.below.0.as_ref().map_or_else(String::new, |below| below());
+            self.table.show(&format!("{}{below}", Summary::of(self.plan, self.board)));
         }
     }
 

@@ -34,6 +34,18 @@ pub struct Options {
     pub stop: Arc<AtomicBool>,
     /// Whether to print logs, the table while running (on a terminal only) and the one at the end.
     pub print: bool,
+    /// What stands below the table while the run goes on.
+    pub below: Below,
+}
+
+/// A text that is asked for whenever the table is shown; none by default.
+#[derive(Clone, Default)]
+pub struct Below(pub Option<Arc<dyn Fn() -> String + Send + Sync>>);
+
+impl std::fmt::Debug for Below {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if self.0.is_some() { "Below(..)" } else { "Below(None)" })
+    }
 }
 
 impl Options {
@@ -46,6 +58,7 @@ impl Options {
             stop_timeout: Duration::from_millis(500),
             stop: Arc::default(),
             print: true,
+            below: Below::default(),
         }
     }
 }
