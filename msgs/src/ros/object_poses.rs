@@ -114,17 +114,22 @@ pub enum DetectionError {
     /// A number is not finite or the quaternion is not of unit length.
     #[error("the pose of `{0}` is not finite or its quaternion not of unit length: mend the detector")]
     NotAPose(String),
+    /// A score or a covariance that is no number.
+    #[error("the score or covariance of `{0}` is not finite: mend the detector")]
+    NotFinite(String),
 }
 
 /// A detector's answer as initial poses, and what could not be used. Each detection counts with its likeliest
 /// result; instances of an object are numbered in their order.
 #[must_use]
 pub fn object_poses(array: &Detection3DArray, naming: &Naming) -> (Vec<ObjectPose>, Vec<DetectionError>) {
-    let (mut poses, mut errors) = (Vec::<ObjectPose>::new(), Vec::new());
+    let (mut poses, mut errors) = (Vec::new(), Vec::new());
+    let mut instances = BTreeMap::<u32, u32>::new();
     for detection in &array.detections {
         match object_pose(detection, naming) {
             Ok(mut pose) => {
-                pose.instance = poses.iter().filter(|p| p.object_id == pose.object_id).count() as u32;
+                let next = instances.entry(pose.object_id).or_default();
+                (pose.instance, *next) = (*next, *next + 1);
                 poses.push(pose);
             }
             Err(error) => errors.push(error),
@@ -144,6 +149,9 @@ fn object_pose(detection: &Detection3D, naming: &Naming) -> Result<ObjectPose, D
         return Err(DetectionError::NotAPose(class_id.clone()));
     }
     let covariance = result.pose.covariance;
+    if !(score(result).is_finite() && covariance.iter().flatten().all(|v| v.is_finite())) {
+        return Err(DetectionError::NotFinite(class_id.clone()));
+    }
     Ok(ObjectPose {
         object_id,
         instance: 0,
@@ -234,19 +242,26 @@ mod tests {
 
     #[test]
     fn unusable_detections_say_why() {
-        let mut array = detections(&header(), &[pose(5, 0, PoseStatus::Ok, 0.7); 4], &naming());
+        let mut array = detections(&header(), &[pose(5, 0, PoseStatus::Ok, 0.7); 7], &naming());
         array.detections[0].results.clear();
         array.detections[1].results[0].hypothesis.class_id = "teapot".into();
         array.detections[2].results[0].pose.pose.position.x = f64::NAN;
         array.detections[3].results[0].pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.0 };
+        array.detections[4].results[0].hypothesis.score = f64::INFINITY;
+        array.detections[5].results[0].hypothesis.score = f64::NAN;
+        array.detections[6].results[0].pose.covariance[5][5] = f64::NAN;
         let (poses, errors) = object_poses(&array, &naming());
         assert!(poses.is_empty());
+        let not_finite = || DetectionError::NotFinite("mustard".into());
         let not_a_pose = || DetectionError::NotAPose("mustard".into());
         let expected = [
             DetectionError::Empty("object_5".into()),
             DetectionError::UnknownClass("teapot".into()),
             not_a_pose(),
             not_a_pose(),
+            not_finite(),
+            not_finite(),
+            not_finite(),
         ];
         assert_eq!(errors, expected);
     }

@@ -8,7 +8,7 @@ use pseudoflow_msgs::ros::Naming;
 use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Role};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Produced, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -294,7 +294,8 @@ impl Node for PlayerNode {
 
     fn produce(&mut self, index: u64, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
         let Some((number, sample)) = self.draw(index, context) else { return Ok(Produced::End) };
-        let mut frame = self.load(number)?;
+        // A file is looked at when the recording is opened; what cannot be decoded shows itself here.
+        let mut frame = self.load(number).or_bad_input("source")?;
         let key = FrameKey { index, stamp_ns: frame.stamp_ns };
         if let Some(sample) = &sample {
             frame.initial_poses = vec![frame.initial_poses[sample.pose]];

@@ -57,7 +57,7 @@ fn main() -> Result<(), NodeError> {
     };
     let frames: u64 = frames.parse()?;
     let overlay = arguments.next().map(|objects| OverlayConfig { objects: objects.into(), pictures: None });
-    let config = RecorderConfig { path: PathBuf::from(&out), images: true, jpeg_quality: 90, overlay, period_ms: None };
+    let config = RecorderConfig { overlay, ..RecorderConfig::new(PathBuf::from(&out)) };
     let context =
         |restarts| Context { name: "recorder".into(), seed: 1, out_dir: std::env::temp_dir(), restarts, replay: true };
     let mut sink = InMemory::default();
