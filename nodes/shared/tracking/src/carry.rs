@@ -59,7 +59,8 @@ impl Tracker {
         let enough = other.evidence.seen() >= self.config.min_seen;
         let trusted = correction.kind == CorrectionKind::Look { accepted: true } || !tracked;
         let sure = other.confidence >= self.config.min_confidence;
-        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure) {
+        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure)
+        {
             return true;
         }
         let told = own.evidence.contrast.min(other.evidence.contrast) > TELLING;
