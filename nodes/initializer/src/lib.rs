@@ -13,6 +13,7 @@ mod find;
 mod fit;
 mod network;
 mod node;
+mod rectangle_finder;
 pub mod track;
 pub mod votes;
 
@@ -21,3 +22,4 @@ pub use error::InitializerError;
 pub use fit::Fit;
 pub use network::{Answer, DetectorNetwork};
 pub use node::{InitializerConfig, InitializerNode};
+pub use rectangle_finder::{RectangleFinder, RectangleFinderConfig};
