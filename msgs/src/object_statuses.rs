@@ -42,6 +42,8 @@ pub enum TrackReason {
     OutOfOrder = 10,
     /// The frame was not used: it is black, or of one colour.
     Dark = 11,
+    /// It cannot be searched for yet: its views are rendered; the score is the share that is there.
+    Preparing = 12,
 }
 
 impl TrackPhase {
@@ -63,7 +65,7 @@ impl TrackPhase {
 }
 
 impl TrackReason {
-    const ALL: [Self; 12] = [
+    const ALL: [Self; 13] = [
         Self::NotFound,
         Self::Detected,
         Self::Confirmed,
@@ -76,6 +78,7 @@ impl TrackReason {
         Self::Hidden,
         Self::OutOfOrder,
         Self::Dark,
+        Self::Preparing,
     ];
 
     /// The reason of a stored number.
@@ -100,6 +103,7 @@ impl TrackReason {
             Self::Hidden => "not seen at the moment, held where it is believed to be",
             Self::OutOfOrder => "the frame is older than one before it",
             Self::Dark => "the frame is black or of one colour",
+            Self::Preparing => "not searched for yet: its views are rendered",
         }
     }
 }

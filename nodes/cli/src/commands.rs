@@ -5,6 +5,7 @@ pub(crate) mod ablate;
 pub(crate) mod adapt;
 pub(crate) mod bag;
 pub(crate) mod bench;
+pub(crate) mod bench_device;
 pub(crate) mod calibrate;
 pub(crate) mod demo;
 pub(crate) mod eval;

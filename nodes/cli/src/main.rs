@@ -24,9 +24,9 @@ enum Command {
     /// Starts, watches and ends the nodes of a graph.
     Run(commands::run::Args),
     /// Checks a graph without starting anything.
-    Check(commands::run::CheckArgs),
+    Check(commands::run::GraphArgs),
     /// Draws a graph: mermaid text, as GitHub and many editors show it.
-    Graph(commands::run::DrawArgs),
+    Graph(commands::run::GraphArgs),
     /// Prints the JSON schema of graphs.
     Schema,
     /// Prints the page about ROS 2: topics, settings, arguments.
@@ -44,8 +44,10 @@ enum Command {
     Calibrate(commands::calibrate::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
-    /// Times a training step and a look on a device.
+    /// Plays a recording in real time into a graph: poses per second, latency, what was right in time.
     Bench(commands::bench::Args),
+    /// Times a training step and a look on a device.
+    BenchDevice(commands::bench_device::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
     Eval(commands::eval::Args),
     /// Shows the difference of two reports, object by object.
@@ -69,6 +71,7 @@ fn registry() -> Registry {
         .with::<pseudoflow_trainer::adapt::TrainerNode>()
         .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()
+        .with::<pseudoflow_evaluator::live::StopwatchNode>()
         .with::<pseudoflow_recorder::RecorderNode>()
 }
 
@@ -119,6 +122,7 @@ fn dispatch(command: Command, ros: &RosArgs) -> Result<ExitCode> {
         Command::Calibrate(args) => commands::calibrate::run(&args),
         Command::Export(args) => commands::export::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
+        Command::BenchDevice(args) => commands::bench_device::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
         Command::Compare(args) => commands::eval::compare(&args),
         Command::Bag(command) => commands::bag::run(&command),

@@ -5,10 +5,12 @@
 //! same surface. A view scores the mean cosine between its features and the crop's over the cells that show the object, at
 //! the best of a few shifts and sizes.
 
+mod cache;
 mod config;
 mod crops;
 mod encoder;
 mod gaze;
+mod library;
 mod views;
 
 pub use config::CompareConfig;
@@ -19,13 +21,13 @@ use crate::detect::Rectangle;
 use crops::{Crops, Scored};
 use encoder::Encoder;
 use gaze::Gaze;
+use library::Library;
 use nalgebra::{Translation3, UnitQuaternion, Vector2, Vector3};
 use pseudoflow_geometry::Pose;
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
 use pseudoflow_imaging::{Object, ObjectSet};
 use pseudoflow_inference::EngineConfig;
-use std::collections::BTreeMap;
-use views::{UNIT, View, centred, rotations, summit, views};
+use views::{UNIT, centred, summit, views};
 
 /// Width and height of the crops in which an object is looked for from all sides, pixels.
 const COARSE_PX: u32 = 96;
@@ -48,8 +50,17 @@ pub struct Comparer {
     coarse: Encoder,
     fine: Encoder,
     rasteriser: SoftwareRasteriser,
-    views: BTreeMap<u32, Vec<View>>,
+    library: Library,
     config: CompareConfig,
+}
+
+/// An object that cannot be searched for yet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Preparing {
+    /// The object.
+    pub object_id: u32,
+    /// Share of its views that are there, 0..1.
+    pub share: f64,
 }
 
 /// How well a pose explains an image.
@@ -79,23 +90,49 @@ impl Glance {
 }
 
 impl Comparer {
-    /// Renders all objects from all sides and encodes what is seen.
+    /// Renders all objects from all sides and encodes what is seen, as far as that is not kept on disk.
     ///
     /// # Errors
     /// When the weights are not those of a flow network, or the engine cannot be opened.
     pub fn open(config: &CompareConfig, objects: &ObjectSet, engine: &EngineConfig) -> Result<Self, InitializerError> {
-        let mut coarse = Encoder::open(&config.model, COARSE_PX, engine)?;
+        let mut comparer = Self::open_unprepared(config, objects, engine)?;
+        while comparer.prepare_some(objects)? {}
+        Ok(comparer)
+    }
+
+    /// With the views that are kept on disk; [`Self::prepare_some`] makes the others.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_unprepared(
+        config: &CompareConfig,
+        objects: &ObjectSet,
+        engine: &EngineConfig,
+    ) -> Result<Self, InitializerError> {
+        let coarse = Encoder::open(&config.model, COARSE_PX, engine)?;
         let fine = Encoder::open(&config.model, FINE_PX, engine)?;
         let mut rasteriser = SoftwareRasteriser::new();
-        let start = std::time::Instant::now();
-        let mut all = BTreeMap::new();
         for object in objects.iter() {
             rasteriser.add_object(object.id, &object.mesh).map_err(|e| InitializerError::Render(e.to_string()))?;
-            all.insert(object.id, views(object, &rotations(object, config), None, &rasteriser, &mut coarse)?);
         }
-        let count: usize = all.values().map(Vec::len).sum();
-        log::info!("{count} views of {} objects in {:.1} s", all.len(), start.elapsed().as_secs_f64());
-        Ok(Self { coarse, fine, rasteriser, views: all, config: config.clone() })
+        let library = Library::open(config, objects, &coarse)?;
+        let (views, count) = library.counts();
+        log::info!("{views} views of {count} objects were kept");
+        Ok(Self { coarse, fine, rasteriser, library, config: config.clone() })
+    }
+
+    /// Makes some of the views that are missing; `false` when none are.
+    ///
+    /// # Errors
+    /// What renderer and engine say.
+    pub fn prepare_some(&mut self, objects: &ObjectSet) -> Result<bool, InitializerError> {
+        self.library.prepare_some(objects, &self.rasteriser, &mut self.coarse)
+    }
+
+    /// The objects that cannot be searched for yet.
+    #[must_use]
+    pub fn preparing(&self) -> Vec<Preparing> {
+        self.library.unprepared().collect()
     }
 
     /// A first look at a place where an object may be: which of its views resemble what is there. Cheap, beside
@@ -111,8 +148,7 @@ impl Comparer {
     ) -> Result<Glance, InitializerError> {
         let (gaze, detected) = Gaze::at(photograph.camera, detected);
         let crops = Crops::look(&mut self.coarse, photograph, &gaze, &SIZES)?;
-        let known = self.views.get(&object.id).map_or(&[][..], Vec::as_slice);
-        let views = apart(crops.score(known, Some(&detected)), self.kept());
+        let views = apart(crops.score(self.library.views(object.id), Some(&detected)), self.kept());
         Ok(Glance { detected, views })
     }
 

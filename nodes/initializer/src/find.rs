@@ -1,6 +1,6 @@
 //! From an image to detections: the network's votes, and where there is a comparer the views that resemble it.
 
-use crate::compare::{Comparer, Glance, Match, Photograph};
+use crate::compare::{Comparer, Glance, Match, Photograph, Preparing};
 use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle, detect, solve, suppress};
 use crate::network::DetectorNetwork;
 use crate::votes::{Vote, group, place, sureness, votes};
@@ -25,8 +25,22 @@ pub(crate) struct Finder {
 }
 
 impl Finder {
-    /// The objects in an image, the surest first. With a comparer, which is dear, those are left out that are expected where
-    /// they are seen.
+    /// The objects that cannot be searched for yet.
+    pub(crate) fn preparing(&self) -> Vec<Preparing> {
+        self.comparer.as_ref().map_or_else(Vec::new, Comparer::preparing)
+    }
+
+    /// Prepares a little of what is missing.
+    ///
+    /// # Errors
+    /// What engine and renderer say.
+    pub(crate) fn prepare_some(&mut self) -> Result<(), InitializerError> {
+        let objects = &self.objects;
+        self.comparer.as_mut().map_or(Ok(()), |comparer| comparer.prepare_some(objects).map(drop))
+    }
+
+    /// The objects in an image, the surest first. With a comparer, which is dear, those are left out that `expected` says of
+    /// where they are seen.
     ///
     /// # Errors
     /// What engine, renderer and solver say.

@@ -2,18 +2,20 @@ use crate::InitializerError;
 use crate::compare::{CompareConfig, Comparer};
 use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle};
 use crate::find::Finder;
+use crate::memory::{Memory, Sent};
 use crate::network::DetectorNetwork;
+use crate::patience::{Patience, SearchConfig};
 use crate::track::{Predicted, TrackConfig, Tracker};
 use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
 use pseudoflow_imaging::{Object, ObjectSet, RgbImage};
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{
-    CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus,
+    CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus, TrackPhase,
+    TrackReason, Wanted,
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
 use std::path::PathBuf;
 
 /// Settings of the initializer node.
@@ -38,6 +40,9 @@ pub struct InitializerConfig {
     /// searched.
     #[serde(default)]
     pub track: Option<TrackConfig>,
+    /// How often wanted objects (`wanted`) are searched for.
+    #[serde(default)]
+    pub search: SearchConfig,
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
@@ -51,8 +56,8 @@ impl InitializerConfig {
     /// The defaults for weights and an object set.
     #[must_use]
     pub fn new(model: PathBuf, objects: PathBuf) -> Self {
-        let (detect, engine) = (DetectConfig::default(), EngineConfig::default());
-        Self { model, objects, network: default_network(), detect, compare: None, track: None, engine }
+        let (detect, search, engine) = (DetectConfig::default(), SearchConfig::default(), EngineConfig::default());
+        Self { model, objects, network: default_network(), detect, compare: None, track: None, search, engine }
     }
 }
 
@@ -60,94 +65,146 @@ impl InitializerConfig {
 pub struct InitializerNode {
     finder: Finder,
     following: Option<Following>,
+    patience: Patience,
+    memory: Memory,
 }
 
-/// Tracks, and what was sent of late.
+/// Tracks of a node that follows what it has found.
 struct Following {
     tracker: Tracker,
     /// Nothing may be lost: a frame waits for the refined poses of the one before.
     lossless: bool,
-    sent: VecDeque<Sent>,
     /// Scene and image whose refined poses were learned last.
     learned: Option<(u32, u32)>,
 }
 
-/// What was sent for a frame: another node's death may bring it back.
-struct Sent {
-    key: FrameKey,
-    image: (u32, u32),
-    searched: bool,
-    poses: Vec<ObjectPose>,
-    statuses: Vec<ObjectStatus>,
-}
-
-/// Frames that are remembered; more than are in flight.
-const REMEMBERED: usize = 128;
-
 impl Following {
     /// Learns from the newest refined poses, each time once.
-    fn learn(&mut self, refined: &ObjectPoses<'_>) {
+    fn learn(&mut self, refined: &ObjectPoses<'_>, memory: &Memory) {
         let image = (refined.header.scene_id, refined.header.image_id);
-        let sent = self.sent.iter().find(|sent| sent.image == image);
-        if let (Some(sent), true) = (sent, self.learned != Some(image)) {
+        if let (Some(sent), true) = (memory.of_image(image), self.learned != Some(image)) {
             self.tracker.learn(refined.poses, sent.key.stamp_ns);
             self.learned = Some(image);
-        }
-    }
-
-    fn remember(&mut self, sent: Sent) {
-        self.sent.push_back(sent);
-        if self.sent.len() > REMEMBERED {
-            self.sent.pop_front();
         }
     }
 }
 
 impl InitializerNode {
-    /// The objects in a frame, the surest first. With `compare`, which is dear, those that are tracked where they are seen are
-    /// left out; else the tracker drops them.
+    /// The objects in a frame, the surest first, but for those to be left out where they are seen.
     fn search(
         &mut self,
         frame: &CameraFrame<'_>,
         key: FrameKey,
-        tracker: Option<&Tracker>,
+        leave_out: &dyn Fn(&Object, &Rectangle, &Intrinsics) -> bool,
         context: &Context,
     ) -> Result<Vec<Detection>, NodeError> {
         let (width, height) = (frame.header.width, frame.header.height);
         let [fx, fy, cx, cy] = frame.header.intrinsics;
         let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
         let camera = Intrinsics { fx, fy, cx, cy };
-        let expected = |object: &Object, there: &Rectangle| {
-            tracker.is_some_and(|t| t.expects(object, there, &camera, key.stamp_ns))
+        let preparing = self.finder.preparing();
+        let left_out = |object: &Object, there: &Rectangle| {
+            preparing.iter().any(|p| p.object_id == object.id) || leave_out(object, there, &camera)
         };
-        Ok(self.finder.find(&image, &camera, &expected, &mut context.rng(key.index, "ransac"))?)
+        Ok(self.finder.find(&image, &camera, &left_out, &mut context.rng(key.index, "ransac"))?)
     }
 
-    /// Predictions for a frame, with a search of the image where the tracks want it. A frame that comes again gets what it
-    /// got before.
+    /// What a frame shows of what is wanted and due.
+    fn run_errand(
+        &mut self,
+        frame: &CameraFrame<'_>,
+        inputs: &dyn Inputs,
+        context: &Context,
+    ) -> Result<(Vec<ObjectPose>, bool), NodeError> {
+        let key = inputs.key();
+        if !inputs.is_connected("wanted") {
+            return Ok((poses(&self.search(frame, key, &|_, _, _| false, context)?), true));
+        }
+        let wanted = read::<Wanted<'static>>(inputs, "wanted")?.object_ids;
+        let preparing = self.finder.preparing();
+        let mut due = self.patience.due(wanted, key.stamp_ns);
+        due.retain(|id| preparing.iter().all(|p| p.object_id != *id));
+        if due.is_empty() {
+            return Ok((Vec::new(), false));
+        }
+        let mut found = self.search(frame, key, &|object, _, _| !due.contains(&object.id), context)?;
+        found.retain(|detection| due.contains(&detection.object_id));
+        for id in due {
+            self.patience.searched(id, key.stamp_ns, found.iter().any(|detection| detection.object_id == id));
+        }
+        Ok((poses(&found), true))
+    }
+
+    /// Predictions for a frame, with a search of the image where the tracks want it.
     fn follow(
         &mut self,
         following: &mut Following,
         frame: &CameraFrame<'_>,
         inputs: &dyn Inputs,
         context: &Context,
-    ) -> Result<Sent, NodeError> {
+    ) -> Result<(Vec<ObjectPose>, bool), NodeError> {
         let key = inputs.key();
-        if let Some(at) = following.sent.iter().position(|sent| sent.key.index == key.index) {
-            let Sent { image, searched, ref poses, ref statuses, .. } = following.sent[at];
-            return Ok(Sent { key, image, searched, poses: poses.clone(), statuses: statuses.clone() });
-        }
         if inputs.bytes("poses").is_some() {
-            following.learn(&read::<ObjectPoses<'static>>(inputs, "poses")?);
+            following.learn(&read::<ObjectPoses<'static>>(inputs, "poses")?, &self.memory);
         }
         let searched = following.tracker.wants_search();
         if searched {
-            let found = self.search(frame, key, Some(&following.tracker), context)?;
+            let tracker = &following.tracker;
+            let expected = |object: &Object, there: &Rectangle, camera: &Intrinsics| {
+                tracker.expects(object, there, camera, key.stamp_ns)
+            };
+            let found = self.search(frame, key, &expected, context)?;
             following.tracker.found(&found, key.stamp_ns);
         }
-        let poses = predictions(&following.tracker.predict(key.stamp_ns));
+        Ok((predictions(&following.tracker.predict(key.stamp_ns)), searched))
+    }
+
+    /// What is sent for a frame.
+    fn answer(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<Sent, NodeError> {
+        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
+        let ((poses, searched), statuses) = match self.following.take() {
+            None => {
+                let answer = self.run_errand(&frame, inputs, context)?;
+                let statuses = self.statuses(&answer.0);
+                (answer, statuses)
+            }
+            Some(mut following) => {
+                let answer = self.follow(&mut following, &frame, inputs, context);
+                let statuses = following.tracker.statuses();
+                self.following = Some(following);
+                (answer?, statuses)
+            }
+        };
         let image = (frame.header.scene_id, frame.header.image_id);
-        Ok(Sent { key, image, searched, poses, statuses: following.tracker.statuses() })
+        Ok(Sent { key: inputs.key(), image, searched, poses, statuses: self.with_preparing(statuses) })
+    }
+
+    /// What is known of each object without tracks: whether this frame showed it.
+    fn statuses(&self, found: &[ObjectPose]) -> Vec<ObjectStatus> {
+        let status = |object_id: u32| {
+            let pose = found.iter().find(|pose| pose.object_id == object_id);
+            let reason = if pose.is_some() { TrackReason::Detected } else { TrackReason::NotFound };
+            ObjectStatus {
+                object_id,
+                instance: 0,
+                phase: TrackPhase::Searching as u32,
+                reason: reason as u32,
+                good_frames: 0,
+                bad_frames: 0,
+                score: pose.map_or(0.0, |pose| pose.score),
+            }
+        };
+        self.finder.objects.ids().into_iter().map(status).collect()
+    }
+
+    /// Says of objects that cannot be searched for yet how far they are.
+    fn with_preparing(&self, mut statuses: Vec<ObjectStatus>) -> Vec<ObjectStatus> {
+        for preparing in self.finder.preparing() {
+            for status in statuses.iter_mut().filter(|status| status.object_id == preparing.object_id) {
+                (status.reason, status.score) = (TrackReason::Preparing as u32, preparing.share);
+            }
+        }
+        statuses
     }
 }
 
@@ -201,7 +258,11 @@ impl Node for InitializerNode {
     type Config = InitializerConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<CameraFrame<'static>>("frame"), PortSpec::latest::<ObjectPoses<'static>>("poses")]
+        vec![
+            PortSpec::required::<CameraFrame<'static>>("frame"),
+            PortSpec::optional::<Wanted<'static>>("wanted"),
+            PortSpec::latest::<ObjectPoses<'static>>("poses"),
+        ]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -215,6 +276,7 @@ impl Node for InitializerNode {
         config.detect.check()?;
         config.compare.as_ref().map_or(Ok(()), CompareConfig::check)?;
         config.track.as_ref().map_or(Ok(()), TrackConfig::check)?;
+        config.search.check()?;
         if !config.model.is_file() {
             let cause = "no such file".to_owned();
             return Err(InitializerError::Model { path: config.model.clone(), cause }.into());
@@ -233,8 +295,9 @@ impl Node for InitializerNode {
         if let Some(id) = network.object_ids().iter().find(|id| !known.contains(id)) {
             return Err(InitializerError::Objects { path: config.model, id: *id, known }.into());
         }
-        let compare = config.compare.as_ref().map(|compare| Comparer::open(compare, &objects, &config.engine));
-        let comparer = compare.transpose()?;
+        // In replay everything is there before the first frame; a camera's frames pass meanwhile, and say what is prepared.
+        let open = if context.replay { Comparer::open } else { Comparer::open_unprepared };
+        let comparer = config.compare.as_ref().map(|compare| open(compare, &objects, &config.engine)).transpose()?;
         log::info!("{} finds {} objects with {}", network.describe(), known.len(), config.model.display());
         // The first frame finds memory and kernels ready.
         let grey = network.fit(64, 48).input(&RgbImage::new(64, 48));
@@ -242,16 +305,18 @@ impl Node for InitializerNode {
         let following = config.track.clone().map(|track| Following {
             tracker: Tracker::new(track, &objects, config.detect.max_instances),
             lossless: context.replay,
-            sent: VecDeque::new(),
             learned: None,
         });
-        Ok(Self { finder: Finder { network, comparer, objects, config: config.detect }, following })
+        let finder = Finder { network, comparer, objects, config: config.detect };
+        Ok(Self { finder, following, patience: Patience::new(config.search), memory: Memory::default() })
     }
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
-        let Some(following) = self.following.as_ref().filter(|following| following.lossless) else { return Ok(true) };
+        if !self.following.as_ref().is_some_and(|following| following.lossless) {
+            return Ok(true);
+        }
         let index = inputs.key().index;
-        let Some(last) = following.sent.back().filter(|last| last.key.index < index) else { return Ok(true) };
+        let Some(last) = self.memory.last().filter(|last| last.key.index < index) else { return Ok(true) };
         if inputs.bytes("poses").is_none() {
             log::debug!("frame {index} waits for the refined poses of the one before: connect `poses` as feedback");
             return Ok(false);
@@ -261,35 +326,13 @@ impl Node for InitializerNode {
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
-        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
-        let image = (frame.header.scene_id, frame.header.image_id);
-        let sent = match self.following.take() {
-            None => {
-                let poses = poses(&self.search(&frame, inputs.key(), None, context)?);
-                Sent { key: inputs.key(), image, searched: true, poses, statuses: Vec::new() }
-            }
-            Some(mut following) => {
-                let sent = self.follow(&mut following, &frame, inputs, context);
-                self.following = Some(following);
-                sent?
-            }
-        };
-        send(outputs, &sent)?;
-        if let Some(following) = &mut self.following
-            && following.sent.back().is_none_or(|last| last.key.index < sent.key.index)
-        {
-            following.remember(sent);
+        if let Some(sent) = self.memory.of_frame(inputs.key().index) {
+            return sent.send(outputs);
         }
+        self.finder.prepare_some()?;
+        let sent = self.answer(inputs, context)?;
+        sent.send(outputs)?;
+        self.memory.remember(sent);
         Ok(())
     }
-}
-
-fn send(outputs: &mut dyn Outputs, sent: &Sent) -> Result<(), NodeError> {
-    let (scene_id, image_id) = sent.image;
-    outputs.send("initial_poses", sent.key, ObjectPoses::byte_len(sent.poses.len()), &mut |bytes| {
-        ObjectPoses::write(bytes, scene_id, image_id, &sent.poses);
-    })?;
-    outputs.send("status", sent.key, ObjectStatuses::byte_len(sent.statuses.len()), &mut |bytes| {
-        ObjectStatuses::write(bytes, sent.searched, &sent.statuses);
-    })
 }

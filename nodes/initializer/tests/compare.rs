@@ -45,7 +45,8 @@ fn place(object: &Object, pose: &Pose, camera: &Intrinsics) -> Rectangle {
 fn errors(camera: &Intrinsics, from_m: Vector3<f64>, to_m: Vector3<f64>) -> (Vec<f64>, Vec<f64>) {
     let objects = ObjectSet::load(&config("objects/tabletop")).unwrap();
     let engine = EngineConfig { backend: Backend::Rten, ..EngineConfig::default() };
-    let model = CompareConfig::new(config("weights/nano_tabletop.safetensors"));
+    let kept = Some(Path::new(env!("CARGO_TARGET_TMPDIR")).join("views"));
+    let model = CompareConfig { cache: kept, ..CompareConfig::new(config("weights/nano_tabletop.safetensors")) };
     let mut comparer = Comparer::open(&model, &objects, &engine).unwrap();
     let mut rasteriser = SoftwareRasteriser::new();
     let object = objects.get(1).unwrap();
@@ -91,6 +92,39 @@ fn a_wide_lens_seen_from_near_and_off_its_middle_is_no_harder() {
     // 2 diameters away and 35 to 37 degrees off the axis. Cut from the image as it is, the median was 14 degrees and 6 cm.
     let (turns_deg, away_m) = errors(&WIDE, Vector3::new(0.31, -0.1, 0.45), Vector3::new(0.33, 0.1, 0.45));
     assert!(turns_deg[4] < 8.0 && away_m[4] < 0.02, "{turns_deg:?} deg, {away_m:?} m");
+}
+
+#[test]
+fn views_are_made_little_by_little_and_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let objects = ObjectSet::load(&config("objects/tabletop")).unwrap();
+    let engine = EngineConfig { backend: Backend::Rten, ..EngineConfig::default() };
+    let few = CompareConfig {
+        directions: 4,
+        turns: 4,
+        cache: Some(folder.path().join("views")),
+        ..CompareConfig::new(config("weights/nano_tabletop.safetensors"))
+    };
+    let mut first = Comparer::open_unprepared(&few, &objects, &engine).unwrap();
+    assert_eq!(first.preparing().len(), 5);
+    let object = objects.get(1).unwrap();
+    let image = RgbImage::from_fn(640, 480, |x, y| image::Rgb([(x / 3) as u8, (y / 2) as u8, 90]));
+    let photograph = Photograph { image: &image, camera: &NARROW };
+    let there = Rectangle { middle_px: Point2::new(300.0, 200.0), size_px: Vector2::new(120.0, 150.0) };
+    assert_eq!(first.glance(&photograph, object, &there).unwrap().similarity(), 0.0, "no view yet");
+    while first.prepare_some(&objects).unwrap() {}
+    assert!(first.preparing().is_empty());
+    let mut second = Comparer::open_unprepared(&few, &objects, &engine).unwrap();
+    assert!(second.preparing().is_empty(), "they were kept");
+    let mut similarity = |comparer: &mut Comparer| comparer.glance(&photograph, object, &there).unwrap().similarity();
+    assert_eq!(similarity(&mut first).to_bits(), similarity(&mut second).to_bits(), "kept or not, the same");
+    let file = std::fs::read_dir(folder.path().join("views")).unwrap().next().unwrap().unwrap().path();
+    std::fs::write(&file, b"pfviews1 and then nothing").unwrap();
+    assert_eq!(
+        Comparer::open_unprepared(&few, &objects, &engine).unwrap().preparing().len(),
+        1,
+        "a damaged one is made anew"
+    );
 }
 
 #[test]

@@ -2,9 +2,10 @@
 
 use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_initializer::track::TrackConfig;
-use pseudoflow_initializer::{InitializerConfig, InitializerNode};
+use pseudoflow_initializer::{CompareConfig, InitializerConfig, InitializerNode};
 use pseudoflow_msgs::{
     AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, Message, ObjectPoses, ObjectStatuses, TrackPhase,
+    TrackReason, Wanted,
 };
 use pseudoflow_network::{DetectorConfig, NetworkConfig, Weights};
 use pseudoflow_runtime::{Context, InMemory, Node};
@@ -101,6 +102,54 @@ fn a_frame_waits_for_the_refined_poses_of_the_one_before_where_nothing_may_be_lo
     let mut live = InitializerNode::create(config, &context(false)).unwrap();
     process(&mut live, &frame(0));
     assert!(live.ready(&frame(1)).unwrap(), "a live camera does not wait");
+}
+
+/// Adds what a tracker wants.
+fn add_wanted(inputs: &mut InMemory, ids: &[u32]) {
+    let mut bytes = AlignedBytes::zeroed(Wanted::byte_len(ids.len()));
+    Wanted::write(&mut bytes, 3, 10, ids);
+    inputs.messages.push(("wanted".into(), bytes));
+}
+
+#[test]
+fn only_what_is_wanted_is_searched_for_and_what_is_not_found_less_often() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = InitializerConfig { track: None, ..config(folder.path(), &[1, 2, 3, 5, 7]) };
+    let mut node = InitializerNode::create(config, &context(true)).unwrap();
+    let searched = |node: &mut InitializerNode, index: u64, ids: &[u32]| {
+        let mut inputs = frame(index);
+        add_wanted(&mut inputs, ids);
+        let outputs = process(node, &inputs);
+        let status = &outputs.messages.iter().find(|(name, _)| name == "status").unwrap().1;
+        ObjectStatuses::view(status).unwrap().header.searched == 1
+    };
+    assert!(!searched(&mut node, 0, &[]), "nothing is wanted");
+    assert!(searched(&mut node, 1, &[2]));
+    assert!(!searched(&mut node, 2, &[2]), "40 ms later it is too early");
+    assert!(searched(&mut node, 3, &[2, 7]), "another one");
+    assert!(searched(&mut node, 30, &[2]));
+    assert!(searched(&mut node, 3, &[2, 7]), "a frame that comes again gets what it got");
+}
+
+#[test]
+fn a_camera_is_told_what_is_being_prepared() {
+    let folder = tempfile::tempdir().unwrap();
+    let flow = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/weights/nano_tabletop.safetensors");
+    let compare =
+        CompareConfig { directions: 4, turns: 4, cache: Some(folder.path().join("views")), ..CompareConfig::new(flow) };
+    let config = InitializerConfig { compare: Some(compare), track: None, ..config(folder.path(), &[1, 2, 3, 5, 7]) };
+    let mut live = InitializerNode::create(config, &context(false)).unwrap();
+    let reasons = |live: &mut InitializerNode, index: u64| {
+        let mut inputs = frame(index);
+        add_wanted(&mut inputs, &[]);
+        let outputs = process(live, &inputs);
+        let status = &outputs.messages.iter().find(|(name, _)| name == "status").unwrap().1;
+        let statuses = ObjectStatuses::view(status).unwrap().statuses.to_vec();
+        statuses.iter().filter(|s| s.reason == TrackReason::Preparing as u32).count()
+    };
+    let first = reasons(&mut live, 0);
+    assert!(first > 0 && first <= 5, "{first}");
+    assert_eq!((1..10).map(|index| reasons(&mut live, index)).min(), Some(0), "it comes to an end");
 }
 
 #[test]

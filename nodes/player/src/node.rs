@@ -10,14 +10,14 @@ use pseudoflow_msgs::ros::Naming;
 use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader, Rectangles,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Role};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Produced, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Settings of the player node.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlayerConfig {
     /// A rosbag2 folder, an .mcap file, or a BOP scene folder.
@@ -49,12 +49,23 @@ pub struct PlayerConfig {
     /// Only initial poses of these objects; all without.
     #[serde(default)]
     pub only_objects: Option<Vec<u32>>,
+    /// Stamps the frames as a camera of this rate would, from one second on, instead of as they were recorded. A live graph
+    /// plays a recording at the pace of its stamps.
+    #[serde(default)]
+    pub hz: Option<f64>,
+    /// Plays the recording so often, every second time backwards, so that nothing jumps where it turns. Needs `hz`.
+    #[serde(default = "once")]
+    pub passes: u32,
     /// Plays at most this many frames.
     #[serde(default)]
     pub max_frames: Option<u64>,
     /// Training: frames at random, one instance each, instead of the recording from its begin to its end.
     #[serde(default)]
     pub sampling: Option<Sampling>,
+}
+
+fn once() -> u32 {
+    1
 }
 
 /// Where initial poses come from.
@@ -86,6 +97,8 @@ impl PlayerConfig {
             rectified: false,
             calibration: None,
             only_objects: None,
+            hz: None,
+            passes: once(),
             max_frames: None,
             sampling: None,
         }
@@ -103,6 +116,14 @@ pub struct PlayerNode {
 
 fn is_bop_scene(path: &Path) -> bool {
     path.join("scene_camera.json").is_file()
+}
+
+/// Opens the recordings of a player's settings, to look into them without playing.
+///
+/// # Errors
+/// When one cannot be played.
+pub fn open_recording(config: &PlayerConfig) -> Result<Box<dyn FrameSource>, PlayerError> {
+    open_all(config, &Naming::default())
 }
 
 fn open_all(config: &PlayerConfig, naming: &Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
@@ -196,8 +217,9 @@ impl PlayerNode {
     /// The next frame of a training: its number, and the sample that was drawn; `None` behind the last.
     fn draw(&mut self, index: u64, context: &Context) -> Option<(usize, Option<Sample>)> {
         let Some(sampling) = &self.config.sampling else {
-            let count = self.config.max_frames.unwrap_or(u64::MAX).min(self.source.count() as u64);
-            return (index < count).then_some((index as usize, None));
+            let most = self.config.max_frames.unwrap_or(u64::MAX);
+            let number = there_and_back(index, self.source.count() as u64, self.config.passes);
+            return number.filter(|_| index < most).map(|number| (number as usize, None));
         };
         let sample = self.sampler.at(sampling.first + index, |epoch| context.rng(epoch, "epoch"));
         (index < sampling.samples).then_some((sample.frame, Some(sample)))
@@ -225,6 +247,18 @@ impl PlayerNode {
             }
         })
     }
+}
+
+/// Number of the frame that is played at a place when `count` frames are played `passes` times, every second time backwards; the
+/// frames where it turns come once. `None` behind the end.
+#[must_use]
+pub fn there_and_back(index: u64, count: u64, passes: u32) -> Option<u64> {
+    let span = count.checked_sub(1)?;
+    if index > span * u64::from(passes) {
+        return None;
+    }
+    let (pass, at) = (index.checked_div(span).unwrap_or(0), index.checked_rem(span).unwrap_or(0));
+    Some(if pass % 2 == 0 { at } else { span - at })
 }
 
 fn partner(frame: &LoadedFrame, pose: usize) -> PartnerFrame {
@@ -275,7 +309,16 @@ impl Node for PlayerNode {
         if config.initial_poses.topic.is_some() && is_bop_scene(&config.source) {
             return Err("`initial_poses.topic`: a BOP scene has no topics: leave it out, or give `file`".into());
         }
+        if config.hz.is_some_and(|hz| !(0.01..=1000.0).contains(&hz)) {
+            return Err("`hz`: give a rate of 0.01 to 1000 frames per second, or leave it out".into());
+        }
         config.calibration.as_deref().map(read_calibration).transpose()?;
+        if config.passes == 0 || (config.passes > 1 && (config.hz.is_none() || config.sampling.is_some())) {
+            return Err(
+                "`passes`: give at least 1; more than one need `hz`, since stamps cannot go back, and no `sampling`"
+                    .into(),
+            );
+        }
         if config.max_frames == Some(0) {
             return Err("`max_frames: 0`: give at least 1, or leave it out".into());
         }
@@ -306,8 +349,10 @@ impl Node for PlayerNode {
 
     fn produce(&mut self, index: u64, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
         let Some((number, sample)) = self.draw(index, context) else { return Ok(Produced::End) };
-        let mut frame = self.load(number)?;
-        let key = FrameKey { index, stamp_ns: frame.stamp_ns };
+        // A file is looked at when the recording is opened; what cannot be decoded shows itself here.
+        let mut frame = self.load(number).or_bad_input("source")?;
+        let of_rate = |hz: f64| 1_000_000_000 + (index as f64 / hz * 1e9).round() as i64;
+        let key = FrameKey { index, stamp_ns: self.config.hz.map_or(frame.stamp_ns, of_rate) };
         if let Some(sample) = &sample {
             frame.initial_poses = vec![frame.initial_poses[sample.pose]];
             if outputs.is_connected("partners") {
@@ -327,5 +372,20 @@ impl Node for PlayerNode {
             Rectangles::write(bytes, header.scene_id, header.image_id, seen);
         })?;
         Ok(Produced::Frame(key))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_goes_there_and_back_without_a_jump() {
+        let played = |count, passes| (0..).map_while(|i| there_and_back(i, count, passes)).collect::<Vec<u64>>();
+        assert_eq!(played(4, 1), [0, 1, 2, 3]);
+        assert_eq!(played(4, 2), [0, 1, 2, 3, 2, 1, 0]);
+        assert_eq!(played(4, 3), [0, 1, 2, 3, 2, 1, 0, 1, 2, 3]);
+        assert_eq!(played(1, 3), [0]);
+        assert!(played(0, 1).is_empty());
     }
 }

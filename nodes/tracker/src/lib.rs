@@ -18,4 +18,4 @@ mod late;
 mod node;
 
 pub use config::TrackerNodeConfig;
-pub use node::TrackerNode;
+pub use node::{TrackerNode, looked, request};

@@ -68,21 +68,19 @@ impl TrackerNode {
 
     /// What others have found and what is to be used in a frame.
     fn corrections(&mut self, index: u64) -> Vec<Correction> {
-        let until = |delay: u64, replay: bool| if replay { index.checked_sub(delay) } else { Some(u64::MAX - 1) };
-        let found = until(self.config.found_delay, self.replay).map(|f| self.found.take_until(f)).unwrap_or_default();
-        let looks = until(self.config.look_delay, self.replay).map(|f| self.looks.take_until(f)).unwrap_or_default();
+        let replay = self.replay;
+        let take = |late: &mut Late, delay: u64| match (replay, index.checked_sub(delay)) {
+            (false, _) => late.take_until(u64::MAX - 1),
+            (true, Some(until)) => late.take_until(until),
+            (true, None) => Default::default(),
+        };
+        let found = take(&mut self.found, self.config.found_delay);
+        let looks = take(&mut self.looks, self.config.look_delay);
         let least = self.config.look_score;
-        let of = |frame: u64, p: &ObjectPose, kind: CorrectionKind| {
-            let camera_from_object = pose_from_quaternion(&p.rotation_xyzw, &p.translation_m).ok()?;
-            Some(Correction { object_id: p.object_id, frame, camera_from_object, kind })
-        };
-        let looked = |p: &ObjectPose| {
-            let better = p.source == PoseSource::Refined as u32 && p.status() == Some(PoseStatus::Ok);
-            CorrectionKind::Look { accepted: better && p.score >= least }
-        };
-        let found = found.iter().flat_map(|(f, all)| all.iter().map(|p| (*f, p, CorrectionKind::Found)));
-        let looks = looks.iter().flat_map(|(f, all)| all.iter().map(|p| (*f, p, looked(p))));
-        found.chain(looks).filter_map(|(frame, p, kind)| of(frame, p, kind)).collect()
+        let found =
+            found.iter().flat_map(|(f, all)| all.iter().filter_map(|p| correction(*f, p, CorrectionKind::Found)));
+        let looks = looks.iter().flat_map(|(f, all)| all.iter().filter_map(|p| looked(*f, p, least)));
+        found.chain(looks).collect()
     }
 
     fn waits(&self, inputs: &dyn Inputs, late: &Late, port: &str, delay: u64) -> bool {
@@ -106,7 +104,21 @@ fn pose(e: &Estimate) -> Option<ObjectPose> {
     })
 }
 
-fn request(look: &Look) -> ObjectPose {
+/// What pnp says of a pose that it was asked to look at in a frame; its score counts from `least` on.
+#[must_use]
+pub fn looked(frame: u64, pose: &ObjectPose, least: f64) -> Option<Correction> {
+    let better = pose.source == PoseSource::Refined as u32 && pose.status() == Some(PoseStatus::Ok);
+    correction(frame, pose, CorrectionKind::Look { accepted: better && pose.score >= least })
+}
+
+fn correction(frame: u64, p: &ObjectPose, kind: CorrectionKind) -> Option<Correction> {
+    let camera_from_object = pose_from_quaternion(&p.rotation_xyzw, &p.translation_m).ok()?;
+    Some(Correction { object_id: p.object_id, frame, camera_from_object, kind })
+}
+
+/// A look that is asked for, as the renderer takes it.
+#[must_use]
+pub fn request(look: &Look) -> ObjectPose {
     ObjectPose {
         object_id: look.object_id,
         instance: 0,

@@ -21,6 +21,10 @@ pub struct CompareConfig {
     /// And to measure them at twice the resolution.
     #[serde(default = "default_fine_steps_deg")]
     pub fine_steps_deg: Vec<f64>,
+    /// Folder in which encoded views are kept, so that the next start takes no time; without: `pseudoflow/views` in the user's
+    /// cache (`$XDG_CACHE_HOME`, `~/.cache`).
+    #[serde(default)]
+    pub cache: Option<PathBuf>,
     /// Poses of an instance that are sent, the most similar first: the refiner tries them all, and pnp keeps the one that flow
     /// and picture agree with best.
     #[serde(default = "default_hypotheses")]
@@ -58,6 +62,7 @@ impl CompareConfig {
             steps_deg: default_steps_deg(),
             fine_steps_deg: default_fine_steps_deg(),
             hypotheses: default_hypotheses(),
+            cache: None,
         }
     }
 

@@ -31,6 +31,11 @@ impl Encoder {
         Ok(Self { engine, size_px, channels, planes: Vec::new(), features: Vec::new() })
     }
 
+    /// What computes, in words.
+    pub(super) fn describe(&self) -> String {
+        self.engine.describe()
+    }
+
     /// Cells across a crop.
     pub(super) fn across(&self) -> usize {
         self.size_px as usize / CELL_PX

@@ -11,16 +11,17 @@ use pseudoflow_imaging::Object;
 use pseudoflow_imaging::raster::{Rasteriser, View as Rendered};
 
 /// An object seen from one side.
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct View {
     /// `gaze_from_object`: the object is on the optical axis.
     pub(super) rotation: UnitQuaternion<f64>,
     /// Width and height of the projection, over the larger of them.
     pub(super) shape: Vector2<f64>,
     /// Cells across.
-    across: i32,
+    pub(super) across: i32,
     /// Cells that show the object, and their features one behind the other.
-    cells: Vec<[i32; 2]>,
-    features: Vec<f32>,
+    pub(super) cells: Vec<[i32; 2]>,
+    pub(super) features: Vec<f32>,
 }
 
 /// Largest shift that is tried, cells.
@@ -30,13 +31,19 @@ const ACROSS: usize = 2 * SHIFT as usize + 1;
 /// Cells with less of the object say nothing, share of their pixels.
 const LEAST_COVER: f64 = 0.6;
 /// Views are encoded so many at a time.
-const BATCH: usize = 32;
+pub(super) const BATCH: usize = 32;
 /// Distance of the camera where it is not known, diameters: objects on a table.
 const DISTANCE: f64 = 4.0;
 /// Distances that are believed, diameters.
 const DISTANCES: (f64, f64) = (1.0, 50.0);
 
 impl View {
+    /// As it is read from disk: see [`super::cache::round`].
+    pub(super) fn round(&mut self) {
+        let channels = self.features.len() / self.cells.len().max(1);
+        self.features.chunks_exact_mut(channels.max(1)).for_each(super::cache::round);
+    }
+
     /// Mean cosine with the features of a crop (across^2 x channels) at the best of the whole shifts, and where the best shift
     /// lies between them, cells.
     pub(super) fn similarity(&self, crop: &[f32]) -> (f32, [f64; 2]) {

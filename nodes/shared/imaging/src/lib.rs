@@ -22,7 +22,9 @@ mod texture;
 pub use bop::{BopFrame, BopScene, InitialPose, list_scenes, read_initial_poses};
 pub use crop::{resample, resample_with_border};
 pub use error::ImagingError;
-pub use files::{DepthImage, decode_rgb, encode_jpeg, encode_png, image_size, load_depth, load_rgb, save_png};
+pub use files::{
+    DepthImage, decode_rgb, encode_gif, encode_jpeg, encode_png, image_size, load_depth, load_rgb, save_png,
+};
 pub use flow_colour::{flow_to_colour, heat_map};
 pub use image::RgbImage;
 pub use mesh::{Mesh, MeshParts};

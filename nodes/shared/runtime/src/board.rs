@@ -10,14 +10,17 @@ use std::fs::OpenOptions;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-const MAGIC: u64 = 0x7066_626f_6172_6403;
+const MAGIC: u64 = 0x7066_626f_6172_6404;
 const HEADER_WORDS: usize = 16;
-const NODE_WORDS: usize = 640;
+const NODE_WORDS: usize = 704;
 /// Frames, and ns of work in them, by their number of objects.
 const OBJECT_FRAMES: usize = 16;
 const OBJECT_NS: usize = OBJECT_FRAMES + OBJECTS;
 const WORK: usize = OBJECT_NS + OBJECTS;
 const AGE: usize = WORK + BUCKETS;
+/// Why the last bad frame was dropped: UTF-8, zero behind it.
+const CAUSE: usize = NODE_WORDS - CAUSE_WORDS;
+const CAUSE_WORDS: usize = 64;
 /// Numbers of objects that are told apart; the last one stands for all above.
 pub(crate) const OBJECTS: usize = 24;
 const UNKNOWN: u64 = u64::MAX;
@@ -55,6 +58,16 @@ pub(crate) enum Word {
     LastNs = 9,
     /// Time spent in frames, ns.
     WorkNs = 10,
+    /// Frames dropped because they could not be used.
+    Bad = 11,
+    /// Last sign of life, monotonic ns: a node gives one whenever it looks for work and before it begins any.
+    Beat = 12,
+    /// The frame that it works on, plus one; 0 while it waits.
+    At = 13,
+    /// CPU time of the process before it was ready, all its lives and threads, ns.
+    StartCpuNs = 14,
+    /// CPU time of the process since it was ready, all its lives and threads, ns.
+    CpuNs = 15,
 }
 
 /// Where a node stands.
@@ -66,6 +79,8 @@ pub(crate) enum State {
     Ready = 1,
     /// It has seen the end of the run and closed what it kept.
     Finished = 2,
+    /// It has seen its last frame and closes what it keeps.
+    Closing = 3,
 }
 
 /// The mapped file.
@@ -132,6 +147,7 @@ impl Board {
         match self.get(node, Word::State) {
             1 => State::Ready,
             2 => State::Finished,
+            3 => State::Closing,
             _ => State::Away,
         }
     }
@@ -178,6 +194,32 @@ impl Board {
         histogram::record(&slot[AGE..AGE + BUCKETS], end_ns.saturating_sub(origin_ns));
     }
 
+    /// Counts a frame that could not be used.
+    pub(crate) fn count_bad(&self, node: usize, cause: &str) {
+        // Word by word: who reads at this moment sees two causes in one, which is for people only.
+        let mut bytes = [0; 8 * CAUSE_WORDS];
+        let len = cause.len().min(bytes.len());
+        bytes[..len].copy_from_slice(&cause.as_bytes()[..len]);
+        for (word, chunk) in self.slot(node)[CAUSE..].iter().zip(bytes.as_chunks::<8>().0) {
+            word.store(u64::from_le_bytes(*chunk), Ordering::Relaxed);
+        }
+        self.add(node, Word::Bad, 1);
+    }
+
+    /// Why the last bad frame of a node was dropped.
+    pub(crate) fn last_bad(&self, node: usize) -> Option<String> {
+        let words = self.slot(node)[CAUSE..].iter();
+        let bytes: Vec<u8> = words.flat_map(|word| word.load(Ordering::Relaxed).to_le_bytes()).collect();
+        let len = bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len());
+        (self.get(node, Word::Bad) > 0).then(|| String::from_utf8_lossy(&bytes[..len]).into_owned())
+    }
+
+    /// A node's sign of life, and the frame that it begins.
+    pub(crate) fn beat(&self, node: usize, now_ns: u64, frame: Option<u64>) {
+        self.set(node, Word::At, frame.map_or(0, |frame| frame.saturating_add(1)));
+        self.set(node, Word::Beat, now_ns);
+    }
+
     /// Counts the work of a frame with so many objects.
     pub(crate) fn count_objects(&self, node: usize, objects: usize, work_ns: u64) {
         let (slot, at) = (self.slot(node), objects.min(OBJECTS - 1));
@@ -222,7 +264,13 @@ mod tests {
         other.count_objects(2, 3, 2_000_000);
         other.count_objects(2, 3, 4_000_000);
         other.count_objects(2, 1000, 5_000_000);
+        other.count_bad(1, &"x".repeat(1000));
+        other.count_bad(1, "input `frame`: 0 x 0 pixels");
+        other.count_bad(2, &"é".repeat(1000));
         drop(other);
+        assert_eq!((board.get(1, Word::Bad), board.last_bad(0)), (2, None));
+        assert_eq!(board.last_bad(1).as_deref(), Some("input `frame`: 0 x 0 pixels"));
+        assert_eq!(board.last_bad(2), Some("é".repeat(256)));
         assert_eq!((board.objects(2, 3), board.objects(2, OBJECTS - 1)), (Some((2, 3.0)), Some((1, 5.0))));
         assert_eq!((board.objects(2, 2), board.objects(1, 3)), (None, None));
         assert_eq!((board.total(), board.get(2, Word::Acknowledged), board.state(2)), (Some(7), 5, State::Ready));

@@ -1,10 +1,12 @@
 //! What every node stands on: the [`Node`] trait, graphs in YAML, delivery over iceoryx2, the supervisor.
 
+mod bad;
 pub mod bag;
 mod board;
 mod clock;
 mod context;
 mod error;
+pub mod files;
 pub mod graph;
 mod histogram;
 mod ipc;
@@ -14,7 +16,9 @@ mod plan;
 mod registry;
 mod runner;
 pub mod supervisor;
+pub mod yaml;
 
+pub use bad::{BadInput, OrBadInput, bad_input};
 pub use context::Context;
 pub use graph::{Graph, GraphError, Mode, NodeSpec, Problem};
 pub use ipc::IpcError;

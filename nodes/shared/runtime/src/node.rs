@@ -1,5 +1,5 @@
-use crate::Context;
-use pseudoflow_msgs::{AlignedBytes, FrameKey, MalformedMessage, Message};
+use crate::{Context, OrBadInput};
+use pseudoflow_msgs::{AlignedBytes, FrameKey, Message};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 
@@ -139,8 +139,10 @@ pub trait Node: Sized {
     /// Handles one frame: all connected inputs of it are there. Must send each connected output once.
     ///
     /// # Errors
-    /// What no other frame would heal; the run stops with it. A frame that cannot be used is no error: say so in
-    /// the messages that go out.
+    /// [`BadInput`](crate::BadInput) for a frame that cannot be used where the next one may be: a live graph drops and
+    /// counts it. Anything else is what no other frame would heal: a replay ends with it, a live graph starts the node
+    /// again and gives up when that does not help. What is merely not found in a frame is no error: say so in the
+    /// messages that go out.
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError>;
 
     /// How many objects a frame is about, where that decides how long it takes: a run's summary gives the node's work by it.
@@ -181,6 +183,11 @@ pub trait Node: Sized {
 pub trait Inputs {
     /// The frame.
     fn key(&self) -> FrameKey;
+    /// Nanoseconds of real time since the frame came to its source, or was due (a recording played live). For what is
+    /// measured or abandoned in live mode; nothing that replay must repeat may depend on it.
+    fn age_ns(&self) -> u64 {
+        0
+    }
     /// The message that came by a port; `None` when the graph leaves the port open.
     fn bytes(&self, port: &str) -> Option<&[u8]>;
     /// Of a [`PortSpec::late`] input: what has come since the last frame, in order of coming, each with the frame that it
@@ -210,10 +217,10 @@ pub trait Outputs {
 /// Reads a required input in place.
 ///
 /// # Errors
-/// When the port is open or the message malformed.
+/// When the port is open; [`BadInput`](crate::BadInput) when the message is malformed.
 pub fn read<'a, M: Message>(inputs: &'a dyn Inputs, port: &'static str) -> Result<M::View<'a>, NodeError> {
     let bytes = inputs.bytes(port).ok_or(MissingInput(port))?;
-    M::view(bytes).map_err(|error: MalformedMessage| error.into())
+    M::view(bytes).or_bad_input(port)
 }
 
 /// An input that a node cannot do without.

@@ -9,6 +9,8 @@ pub(crate) struct Plan {
     pub(crate) seed: u64,
     pub(crate) window: u64,
     pub(crate) restarts: u32,
+    /// Seconds that a node may be silent in a frame, and in its start.
+    pub(crate) deadlines_s: [u32; 2],
     /// In the graph's order; the position is the node's id in the run.
     pub(crate) nodes: Vec<PlannedNode>,
     /// Position of the one source.
@@ -20,6 +22,10 @@ pub(crate) struct PlannedNode {
     pub(crate) name: String,
     pub(crate) config: serde_yaml::Value,
     pub(crate) kind: Kind,
+    /// How much its process stands back.
+    pub(crate) nice: u8,
+    /// Threads of its own work.
+    pub(crate) threads: Option<u16>,
     /// Whether a frame is done only when this node has handled it: the end of a line.
     pub(crate) acknowledges: bool,
     pub(crate) inputs: Vec<PlannedInput>,
@@ -60,7 +66,10 @@ impl Plan {
         let wiring = Wiring::new(graph, registry);
         let nodes: Vec<_> = wiring.nodes.iter().enumerate().map(|(i, _)| wiring.plan(i)).collect();
         let source = wiring.sources().next().unwrap_or(0);
-        Ok(Self { mode: graph.mode, seed: graph.seed, window: graph.window, restarts: graph.restarts, nodes, source })
+        let frame_s = graph.frame_deadline_s.unwrap_or(if graph.mode == Mode::Live { 120 } else { 900 });
+        let deadlines_s = [frame_s, graph.start_deadline_s.unwrap_or(1800)];
+        let Graph { mode, seed, window, restarts, .. } = *graph;
+        Ok(Self { mode, seed, window, restarts, deadlines_s, nodes, source })
     }
 
     pub(crate) fn position(&self, name: &str) -> Option<usize> {
@@ -214,6 +223,8 @@ impl<'a> Wiring<'a> {
         PlannedNode {
             name: wired.name.to_owned(),
             config: wired.spec.config.clone(),
+            nice: wired.spec.nice,
+            threads: wired.spec.threads,
             acknowledges: self.acknowledges(node),
             inputs: inputs.collect(),
             outputs: outputs.collect(),

@@ -49,22 +49,35 @@ impl Tracker {
         let object = &self.objects[self.tracks[track].object];
         let middle: Point3<f64> = object.contour.centre_m();
         let away_m = (a * middle - b * middle).norm();
-        away_m < 0.03 * object.diameter_m && rotation_angle_rad(a, b) < 0.07
+        away_m < 0.04 * object.diameter_m && rotation_angle_rad(a, b) < 0.09
     }
 
-    /// Whether what was found elsewhere goes before what was predicted.
-    pub(crate) fn prefers(&self, track: usize, own: &Trial, other: &Trial, correction: &Correction) -> bool {
-        let tracked = self.tracks[track].measured;
-        let enough = other.confidence >= self.config.min_confidence;
+    /// Whether what was found elsewhere goes before what was predicted. Textures are those of the prediction's own keyframes, so
+    /// contours are compared, and renderings of the mesh with the picture.
+    pub(crate) fn prefers(&self, own: &Trial, other: &Trial, correction: &Correction, tracked: bool) -> bool {
+        let (before, after) = (own.evidence.of_contour(), other.evidence.of_contour());
+        let enough = other.evidence.seen() >= self.config.min_seen;
+        let trusted = correction.kind == CorrectionKind::Look { accepted: true } || !tracked;
+        let sure = other.confidence >= self.config.min_confidence;
+        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure)
+        {
+            return true;
+        }
+        let told = own.evidence.contrast.min(other.evidence.contrast) > TELLING;
+        let gain = if told { other.evidence.likeness - own.evidence.likeness } else { 0.0 };
+        if gain.abs() > ALIKE {
+            return gain > 0.0 && enough;
+        }
         match correction.kind {
-            CorrectionKind::Look { accepted: true } => {
-                enough && (other.confidence > own.confidence - LOOK_BONUS || !tracked)
-            }
-            CorrectionKind::Look { accepted: false } => other.confidence > own.confidence + LOOK_BONUS,
-            CorrectionKind::Found => enough && other.confidence > own.confidence && !tracked,
+            CorrectionKind::Look { accepted: true } => enough && after > before - LOOK_BONUS,
+            CorrectionKind::Look { accepted: false } => enough && after > before + LOOK_BONUS,
+            CorrectionKind::Found => enough && after > before,
         }
     }
 }
 
-/// How much less sure a pose may be that a look has found: appearance inside the contour tells what the contour does not.
-const LOOK_BONUS: f64 = 0.1;
+/// How much less sure a contour may be of a pose that a look has found: a look sees what is inside of it.
+const LOOK_BONUS: f64 = 0.2;
+/// Contrast (as in the evidence) from which renderings tell poses apart, and the difference of correlations that does.
+pub(crate) const TELLING: f64 = 0.3;
+pub(crate) const ALIKE: f64 = 0.04;

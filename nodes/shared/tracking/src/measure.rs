@@ -26,6 +26,9 @@ impl Trial {
     }
 }
 
+/// Gaps of more frames than this are read by the schedule of `first`.
+const FAR_FRAMES: f64 = 3.0;
+
 /// What a picture is measured with. Holds its working memory.
 #[derive(Debug, Clone)]
 pub(crate) struct Eye {
@@ -75,14 +78,18 @@ impl Eye {
         let prior = self.prior(subject, start);
         let task = subject.task(&prior);
         let camera = subject.image.intrinsics;
+        // After a long gap the contour may be further away than the fine schedule reads.
+        let far = subject.gap_s > FAR_FRAMES * self.frame_s;
         let seen =
             nearest(keyframes, start).map(|k| matches(k, subject.pyramid, start, &camera, self.reach(subject, start)));
         let Some(seen) = seen.filter(|seen| !seen.is_empty()) else {
-            return subject.trial(&self.near.follow(&task, start, colours, None));
+            let refiner = if far { &mut self.far } else { &mut self.near };
+            return subject.trial(&refiner.follow(&task, start, colours, None));
         };
         let mut term =
             TextureTerm { matches: &seen, camera, sigma_px: self.texture.sigma_px, share: self.texture.share };
-        let region = self.near.follow(&task, start, colours, Some(&mut term));
+        let refiner = if far { &mut self.far } else { &mut self.near };
+        let region = refiner.follow(&task, start, colours, Some(&mut term));
         let mut trial = subject.trial(&region);
         trial.evidence.texture = term.agreeing(&trial.pose);
         trial.evidence.textured = seen.len() as f64 / (seen.len() as f64 + 10.0);

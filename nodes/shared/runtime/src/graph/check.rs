@@ -53,7 +53,12 @@ impl<'a> Check<'a> {
     }
 
     fn values(&mut self) {
-        let window = self.wiring.graph.window;
+        let Graph { window, frame_deadline_s, start_deadline_s, .. } = *self.wiring.graph;
+        for (key, value) in [("frame_deadline_s", frame_deadline_s), ("start_deadline_s", start_deadline_s)] {
+            if value == Some(0) {
+                self.report(None, key, "0 is out of range".into(), "take at least 1, or leave it out".into());
+            }
+        }
         if !(1..=64).contains(&window) {
             self.report(None, "window", format!("{window} is out of range"), "take 1 to 64 frames in flight".into());
         }
@@ -71,6 +76,14 @@ impl<'a> Check<'a> {
             if self.wiring.nodes[i].kind.is_none() {
                 let (what, remedy) = (format!("no kind of node is called `{kind}`"), one_of(&known));
                 self.report(Some(i), "kind", what, remedy);
+            }
+            let (nice, threads) = (self.wiring.nodes[i].spec.nice, self.wiring.nodes[i].spec.threads);
+            if nice > 19 {
+                self.report(Some(i), "nice", format!("{nice} is out of range"), "take 0 (not at all) to 19".into());
+            }
+            if threads.is_some_and(|threads| !(1..=256).contains(&threads)) {
+                let remedy = "take 1 to 256, or leave it out for all cores".to_owned();
+                self.report(Some(i), "threads", format!("{} is out of range", threads.unwrap_or(0)), remedy);
             }
         }
     }

@@ -46,9 +46,19 @@ pub struct Graph {
     #[serde(default = "default_window")]
     #[schemars(range(min = 1, max = 64))]
     pub window: u64,
-    /// How often a node that dies is started again before the run gives up.
+    /// How often a node that dies is started again before the run gives up. In a live graph the count begins anew when
+    /// a node has lived for half a minute, and a node that ends with an error once it was ready is started again, too.
     #[serde(default = "default_restarts")]
     pub restarts: u32,
+    /// How many seconds a node may be silent in a frame before it is killed and started again, at least 1; without: 120 in
+    /// a live graph, 900 in a replay.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1))]
+    pub frame_deadline_s: Option<u32>,
+    /// The same for its start, where models are loaded and warmed up; without: 1800.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1))]
+    pub start_deadline_s: Option<u32>,
     /// Outputs (`node/port`) whose way back to an earlier node's `latest` input is meant.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub feedback: Vec<PortRef>,
@@ -72,6 +82,14 @@ pub struct NodeSpec {
     /// Input port: the output (`node/port`) that feeds it.
     #[serde(default, skip_serializing_if = "IndexMap::is_empty")]
     pub inputs: IndexMap<String, PortRef>,
+    /// How much it stands back behind other processes of the computer, 0 to 19 (nice): more for what may take its time.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(max = 19))]
+    pub nice: u8,
+    /// Threads of its own work (not of its inference engine, which `engine.threads` counts); without: as many as cores.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = 256))]
+    pub threads: Option<u16>,
     /// The kind's own configuration. Paths are relative to the working directory.
     #[serde(default = "empty_config")]
     #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
@@ -87,6 +105,10 @@ pub struct PortRef {
     pub node: String,
     /// Name of its output.
     pub port: String,
+}
+
+fn is_zero(nice: &u8) -> bool {
+    *nice == 0
 }
 
 fn default_seed() -> u64 {
@@ -122,7 +144,7 @@ impl Graph {
     /// As [`Graph::read`].
     pub fn parse(text: &str, file: &Path) -> Result<Self, GraphError> {
         let syntax = |source| GraphError::Syntax { file: file.to_owned(), source };
-        let value: serde_yaml::Value = serde_yaml::from_str(text).map_err(syntax)?;
+        let value: serde_yaml::Value = crate::yaml::from_str(text).map_err(syntax)?;
         let mut graph: Self = serde_path_to_error::deserialize(value).map_err(|error| GraphError::Shape {
             file: file.to_owned(),
             field: error.path().to_string(),

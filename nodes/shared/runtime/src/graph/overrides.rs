@@ -2,14 +2,14 @@ use super::{Graph, GraphError};
 use serde_yaml::{Mapping, Value};
 
 impl Graph {
-    /// Overrides a value: `mode`, `seed`, `window`, `restarts`, a parameter by its name, or `node.key` (deeper with more dots) for a value
+    /// Overrides a value: `mode`, `seed`, `window`, `restarts`, the deadlines, a parameter by its name, or `node.key` (deeper with more dots) for a value
     /// in a node's configuration. The value is read as YAML: `4`, `true`, `[1, 2]`, `some/path`.
     ///
     /// # Errors
     /// When there is no such node or the key leads through a value that is no mapping.
     pub fn set(&mut self, key: &str, value: &str) -> Result<(), GraphError> {
         let error = |cause: String| GraphError::Override { key: key.to_owned(), value: value.to_owned(), cause };
-        let parsed: Value = serde_yaml::from_str(value).map_err(|e| error(format!("the value is no YAML: {e}")))?;
+        let parsed: Value = crate::yaml::from_str(value).map_err(|e| error(format!("the value is no YAML: {e}")))?;
         match key.split_once('.') {
             None => self.set_top(key, parsed).map_err(error),
             Some((node, path)) => self.set_config(node, path, parsed).map_err(error),
@@ -25,6 +25,8 @@ impl Graph {
             "seed" => self.seed = read(value)?,
             "window" => self.window = read(value)?,
             "restarts" => self.restarts = read(value)?,
+            "frame_deadline_s" => self.frame_deadline_s = Some(read(value)?),
+            "start_deadline_s" => self.start_deadline_s = Some(read(value)?),
             name => match self.params.get_mut(name) {
                 Some(parameter) => *parameter = value,
                 None => return Err(self.no_such_key()),
@@ -40,7 +42,9 @@ impl Graph {
             [one] => format!(", the parameter {one}"),
             several => format!(", a parameter ({})", several.join(", ")),
         };
-        format!("no such key: write mode, seed, window, restarts{of_params} or `node.key`")
+        format!(
+            "no such key: write mode, seed, window, restarts, frame_deadline_s, start_deadline_s{of_params} or `node.key`"
+        )
     }
 
     fn set_config(&mut self, node: &str, path: &str, value: Value) -> Result<(), String> {

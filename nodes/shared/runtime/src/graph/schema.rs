@@ -39,6 +39,8 @@ fn node_schema(kind: &Kind) -> Value {
                 "required": required,
                 "properties": ports,
             },
+            "nice": { "type": "integer", "minimum": 0, "maximum": 19, "default": 0 },
+            "threads": { "type": "integer", "minimum": 1, "maximum": 256 },
             "config": config,
         }
     })

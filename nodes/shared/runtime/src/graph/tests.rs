@@ -262,7 +262,11 @@ fn overrides_reach_every_value() {
     for (key, value, cause) in [
         ("nobody.bag", "x", "the graph has no node `nobody`: its nodes are player, refiner, recorder"),
         ("player.bag.deeper", "x", "`deeper` lies within a value that is no mapping"),
-        ("windows", "3", "no such key: write mode, seed, window, restarts or `node.key`"),
+        (
+            "windows",
+            "3",
+            "no such key: write mode, seed, window, restarts, frame_deadline_s, start_deadline_s or `node.key`",
+        ),
         ("window", "many", "expected u64"),
     ] {
         let error = graph.set(key, value).unwrap_err().to_string();

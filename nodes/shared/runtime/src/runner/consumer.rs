@@ -1,9 +1,18 @@
 use super::links::TICK;
-use super::outputs::NoOutputs;
+use super::outputs::{IpcOutputs, NoOutputs};
 use super::{Ending, Launch, RunError, Runner};
-use crate::Node;
 use crate::board::{State, Word};
 use crate::clock::monotonic_ns;
+use crate::{Context, Inputs, Node, NodeError};
+use pseudoflow_msgs::FrameKey;
+
+/// What a node did with a frame.
+enum Handled {
+    /// It needs a message of a `latest` port first.
+    Waits,
+    /// Done, with the number of objects where the node counts them.
+    Done(Option<usize>),
+}
 
 impl<N: Node> Runner<'_, N> {
     /// The loop of transforms and sinks.
@@ -32,6 +41,7 @@ impl<N: Node> Runner<'_, N> {
     pub(super) fn take_frames(&mut self, next: &mut u64) -> Result<bool, RunError> {
         loop {
             self.intake.drain().map_err(|e| self.launch.ipc_error(e))?;
+            self.pass_voids()?;
             match self.pick(next) {
                 Some(index) if !self.handle(index, next)? => return Ok(false),
                 Some(_) => {}
@@ -65,46 +75,97 @@ impl<N: Node> Runner<'_, N> {
     }
 
     fn handle(&mut self, index: u64, next: &mut u64) -> Result<bool, RunError> {
-        let Launch { plan, board, me, .. } = self.launch;
+        let launch = self.launch;
         let Some(frame) = self.intake.take(index) else { return Ok(true) };
-        let (origin_ns, begin_ns) = (frame.envelope.origin_ns, monotonic_ns());
-        let place = || format!("frame {index}");
-        let node_error = |error| self.launch.node_error(place(), &error);
-        if !self.node.ready(&frame).map_err(node_error)? {
-            let messages = frame.into_messages();
-            self.intake.put_back(index, messages);
-            return Ok(false);
+        let (key, origin_ns, begin_ns) = (frame.envelope.key(), frame.envelope.origin_ns, monotonic_ns());
+        launch.beat(Some(index));
+        let ends_here = launch.me == launch.plan.source;
+        let handled = match ends_here {
+            true => work(&mut self.node, &frame, None, &self.context),
+            false => {
+                self.outputs.begin(Some(key), origin_ns);
+                work(&mut self.node, &frame, Some(&mut self.outputs), &self.context)
+            }
+        };
+        launch.beat(None);
+        match handled {
+            Ok(Handled::Waits) => {
+                let messages = frame.into_messages();
+                self.intake.put_back(index, messages);
+                return Ok(false);
+            }
+            Ok(Handled::Done(objects)) => {
+                drop(frame);
+                if index < *next {
+                    launch.board.add(launch.me, Word::Repeats, 1);
+                } else if !ends_here {
+                    // A source counts what it makes.
+                    launch.count_frame(objects, begin_ns, origin_ns);
+                }
+            }
+            Err(error) => {
+                drop(frame);
+                self.refuse(key, &error)?;
+            }
         }
-        if *me == plan.source {
-            // What a source takes in ends there; its outputs belong to the frame that it is making.
-            self.node.process(&frame, &mut NoOutputs, &self.context).map_err(node_error)?;
-        } else {
-            self.outputs.begin(Some(frame.envelope.key()), origin_ns);
-            self.node.process(&frame, &mut self.outputs, &self.context).map_err(node_error)?;
-            self.outputs.end().map_err(|error| self.launch.error(place(), error.to_string()))?;
-        }
-        let objects = N::objects(&frame);
-        drop(frame);
         self.intake.forget_queued();
+        self.pass_on(index);
+        *next = (*next).max(index + 1);
+        Ok(true)
+    }
+
+    /// A frame that could not be used: in a live graph it is dropped, counted, and given up for all that follow.
+    fn refuse(&mut self, key: FrameKey, error: &NodeError) -> Result<(), RunError> {
+        let launch = self.launch;
+        self.complaints.hear(launch, &format!("frame {}", key.index), error)?;
+        match launch.me == launch.plan.source {
+            true => Ok(()),
+            false => self.outputs.void().map_err(|e| launch.ipc_error(e)),
+        }
+    }
+
+    /// Gives frames on as given up that another node has given up.
+    fn pass_voids(&mut self) -> Result<(), RunError> {
+        let launch = self.launch;
+        while let Some(envelope) = self.intake.take_void() {
+            if launch.me != launch.plan.source {
+                self.outputs.begin(Some(envelope.key()), envelope.origin_ns);
+                self.outputs.void().map_err(|e| launch.ipc_error(e))?;
+            }
+            self.pass_on(envelope.index);
+        }
+        Ok(())
+    }
+
+    /// This node is done with a frame: wakes those who wait for it.
+    fn pass_on(&mut self, index: u64) {
+        let Launch { plan, board, me, .. } = self.launch;
         self.links.ring_consumers();
         if plan.nodes[*me].acknowledges {
             let safe = self.node.safe_until(index + 1);
             board.set(*me, Word::Acknowledged, safe.max(board.get(*me, Word::Acknowledged)));
             self.links.ring_source();
         }
-        match index < *next {
-            true => board.add(*me, Word::Repeats, 1),
-            // A source counts what it makes.
-            false if *me != plan.source => {
-                let end_ns = monotonic_ns();
-                board.count_frame(*me, begin_ns, end_ns, origin_ns);
-                if let Some(objects) = objects {
-                    board.count_objects(*me, objects, end_ns - begin_ns);
-                }
-            }
-            false => {}
-        }
-        *next = (*next).max(index + 1);
-        Ok(true)
     }
+}
+
+/// Lets the node handle a frame. What a source takes in ends there (`outputs` is `None`): its outputs belong to the
+/// frame that it is making.
+fn work<N: Node>(
+    node: &mut N,
+    frame: &dyn Inputs,
+    outputs: Option<&mut IpcOutputs>,
+    context: &Context,
+) -> Result<Handled, NodeError> {
+    if !node.ready(frame)? {
+        return Ok(Handled::Waits);
+    }
+    match outputs {
+        None => node.process(frame, &mut NoOutputs, context)?,
+        Some(outputs) => {
+            node.process(frame, outputs, context)?;
+            outputs.end()?;
+        }
+    }
+    Ok(Handled::Done(N::objects(frame)))
 }

@@ -66,11 +66,16 @@ impl Intake {
         }
         for latest in &mut self.latest {
             while let Some(message) = latest.input.receive()? {
-                latest.message = Some(message);
+                if message.envelope().void == 0 {
+                    latest.message = Some(message);
+                }
             }
         }
         for queued in &mut self.queued {
             while let Some(message) = queued.input.receive()? {
+                if message.envelope().void != 0 {
+                    continue;
+                }
                 queued.messages.push_back((message.envelope().key(), AlignedBytes::copy_of(message.bytes())));
                 if queued.messages.len() > MOST_QUEUED {
                     queued.messages.pop_front();
@@ -84,6 +89,11 @@ impl Intake {
     /// Gives up what was queued: a frame has had it.
     pub(super) fn forget_queued(&mut self) {
         self.queued.iter_mut().for_each(|queued| queued.messages.clear());
+    }
+
+    /// Takes a frame out that was given up on the way, whole or not.
+    pub(super) fn take_void(&mut self) -> Option<Envelope> {
+        self.join.take_any(|message| message.envelope().void != 0).map(|(_, message)| *message.envelope())
     }
 
     /// Takes a whole frame out.
@@ -117,6 +127,10 @@ impl Frame<'_> {
 impl Inputs for Frame<'_> {
     fn key(&self) -> FrameKey {
         self.envelope.key()
+    }
+
+    fn age_ns(&self) -> u64 {
+        crate::clock::monotonic_ns().saturating_sub(self.envelope.origin_ns)
     }
 
     fn bytes(&self, port: &str) -> Option<&[u8]> {

@@ -43,6 +43,14 @@ impl<M> Join<M> {
         self.complete().next().filter(|index| *index <= most)
     }
 
+    /// Takes the first frame out of which any message is as asked; gives that message.
+    pub(super) fn take_any(&mut self, wanted: impl Fn(&M) -> bool) -> Option<(u64, M)> {
+        let has = |messages: &Vec<Option<M>>| messages.iter().flatten().any(&wanted);
+        let index = *self.frames.iter().find(|(_, messages)| has(messages))?.0;
+        let message = self.frames.remove(&index)?.into_iter().flatten().find(wanted)?;
+        Some((index, message))
+    }
+
     /// The last frame that is whole.
     pub(super) fn last_complete(&self) -> Option<u64> {
         self.complete().next_back()

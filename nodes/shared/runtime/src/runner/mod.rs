@@ -14,8 +14,10 @@
 //! # How live mode stays live
 //! The source keeps at most a window of frames in the graph; what comes meanwhile waits in one place where the
 //! newest replaces the older. A node with several whole frames before it takes the newest. Both are counted as
-//! drops. Frames that died with a node are forgotten when its successor is ready.
+//! drops. Frames that died with a node are forgotten when its successor is ready. A frame that a node cannot use
+//! ([`BadInput`](crate::BadInput)) is counted there; an empty message marked as void tells those who join it, and theirs.
 
+mod complaints;
 mod consumer;
 mod intake;
 mod join;
@@ -31,6 +33,7 @@ use crate::ipc::{IpcError, RunIpc};
 use crate::plan::{Plan, PlannedNode};
 use crate::registry::{Registry, read_config};
 use crate::{Context, Node, NodeError, Role};
+use complaints::Complaints;
 use intake::Intake;
 pub(crate) use intake::topic;
 use links::Links;
@@ -126,6 +129,25 @@ impl Launch {
         RunError::Node { node: self.node().name.clone(), place: place.into(), cause: cause.into() }
     }
 
+    /// A sign of life, and the frame that is begun: the supervisor ends what gives none for too long.
+    fn beat(&self, frame: Option<u64>) {
+        self.board.beat(self.me, crate::clock::monotonic_ns(), frame);
+    }
+
+    fn count_frame(&self, objects: Option<usize>, begin_ns: u64, origin_ns: u64) {
+        let end_ns = crate::clock::monotonic_ns();
+        self.board.count_frame(self.me, begin_ns, end_ns, origin_ns);
+        if let Some(objects) = objects {
+            self.board.count_objects(self.me, objects, end_ns - begin_ns);
+        }
+    }
+
+    /// Name of the node that feeds an input.
+    fn producer_of(&self, port: &str) -> Option<&str> {
+        let input = self.node().inputs.iter().find(|input| input.port == port)?;
+        Some(&self.plan.nodes[input.producer].name)
+    }
+
     /// First frame that not all sinks have acknowledged.
     fn acknowledged_by_all(&self) -> u64 {
         let by_each = self.plan.acknowledgers().map(|node| self.board.get(node, Word::Acknowledged));
@@ -142,8 +164,18 @@ pub(crate) fn run_node(registry: &Registry, name: &str, graph: &Path, run_dir: &
     })?;
     let (board, ipc) = open_run(run_dir)?;
     orphan::die_with(ipc.supervisor)?;
+    stand_back(plan.nodes[me].nice);
     let run = plan.nodes[me].kind.run;
     run(&Launch { plan, me, board, ipc, run_dir: run_dir.to_owned() })
+}
+
+/// Lowers the priority of this process, the threads to come included.
+fn stand_back(nice: u8) {
+    if nice > 0
+        && let Err(error) = rustix::process::nice(i32::from(nice))
+    {
+        log::warn!("`nice: {nice}` could not be had ({error}): this node competes with all others");
+    }
 }
 
 fn open_run(run_dir: &Path) -> Result<(Board, RunIpc), RunError> {
@@ -168,10 +200,13 @@ enum Ending {
 struct Runner<'a, N> {
     launch: &'a Launch,
     context: Context,
+    /// CPU time of this process that is on the board.
+    counted_cpu_ns: u64,
     node: N,
     intake: Intake,
     outputs: IpcOutputs,
     links: Links,
+    complaints: Complaints,
 }
 
 /// The whole life of a node of kind `N`.
@@ -200,7 +235,7 @@ fn connect<N: Node>(launch: &Launch, context: Context, node: N) -> Result<Runner
     let intake = Intake::new(&ipc_node, &launch.plan, launch.me).map_err(error)?;
     let outputs = IpcOutputs::new(&ipc_node, &launch.plan, launch.me).map_err(error)?;
     let links = Links::new(ipc_node, &launch.plan, launch.me).map_err(error)?;
-    Ok(Runner { launch, context, node, intake, outputs, links })
+    Ok(Runner { launch, context, counted_cpu_ns: 0, node, intake, outputs, links, complaints: Complaints::default() })
 }
 
 impl<N: Node> Runner<'_, N> {
@@ -214,8 +249,9 @@ impl<N: Node> Runner<'_, N> {
     }
 
     /// From here on the node gets its frames.
-    fn announce(&self) {
+    fn announce(&mut self) {
         let Launch { board, me, .. } = self.launch;
+        self.count_cpu(Word::StartCpuNs);
         board.set_state(*me, State::Ready);
         board.add(*me, Word::Generation, 1);
         log::info!("{} is ready (start {})", self.context.name, self.context.restarts + 1);
@@ -232,7 +268,10 @@ impl<N: Node> Runner<'_, N> {
     }
 
     fn close(mut self, ending: Ending) -> Result<(), RunError> {
+        self.launch.beat(None);
+        self.launch.board.set_state(self.launch.me, State::Closing);
         self.node.finish(&self.context).map_err(|error| self.launch.node_error("end", &error))?;
+        self.count_cpu(Word::CpuNs);
         if ending == Ending::InOrder {
             self.launch.board.set_state(self.launch.me, State::Finished);
             self.links.ring_consumers();
@@ -254,8 +293,17 @@ impl<N: Node> Runner<'_, N> {
         Ok(())
     }
 
+    /// Puts the CPU time since the last call on the board.
+    fn count_cpu(&mut self, word: Word) {
+        let now_ns = crate::clock::process_cpu_ns();
+        self.launch.board.add(self.launch.me, word, now_ns.saturating_sub(self.counted_cpu_ns));
+        self.counted_cpu_ns = now_ns;
+    }
+
     /// `true` when the process is asked to end.
     fn sleep(&mut self, at_most: std::time::Duration) -> Result<bool, RunError> {
+        self.launch.beat(None);
+        self.count_cpu(Word::CpuNs);
         self.outputs.update();
         self.links.sleep(at_most).map_err(|e| self.launch.ipc_error(e))
     }

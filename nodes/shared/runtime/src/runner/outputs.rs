@@ -71,10 +71,10 @@ impl IpcOutputs {
         self.frame
     }
 
-    /// Sends what was held back.
-    pub(super) fn release(&mut self) -> Result<(), IpcError> {
+    /// Sends what was held back: a frame that came, or was due, at `origin_ns`.
+    pub(super) fn release(&mut self, origin_ns: u64) -> Result<(), IpcError> {
         let Some(key) = self.frame.take() else { return Ok(()) };
-        let envelope = envelope(key, monotonic_ns());
+        let envelope = envelope(key, origin_ns);
         for port in &mut self.ports {
             if let Some(loaned) = port.held.take() {
                 loaned.send(Envelope { sent_ns: monotonic_ns(), ..envelope })?;
@@ -82,6 +82,27 @@ impl IpcOutputs {
             port.sent = false;
         }
         Ok(())
+    }
+
+    /// Tells those who join a port that the frame of [`Self::begin`] is given up, where it was not sent yet.
+    pub(super) fn void(&mut self) -> Result<(), IpcError> {
+        let Some(key) = self.frame else { return Ok(()) };
+        let envelope = Envelope { void: 1, ..envelope(key, self.origin_ns) };
+        for port in self.ports.iter_mut().filter(|port| port.joined && !port.sent) {
+            if let Some(publisher) = &port.publisher {
+                publisher.loan(size_of::<u64>(), &mut |bytes| bytes.fill(0))?.send(envelope)?;
+                port.sent = true;
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives up what a source has made of a frame so far.
+    pub(super) fn abandon(&mut self) {
+        self.frame = None;
+        for port in &mut self.ports {
+            (port.sent, port.held) = (false, None);
+        }
     }
 
     /// Lets consumers that have come late have the last message where a port keeps it.
@@ -93,16 +114,13 @@ impl IpcOutputs {
     fn make_way(&mut self, key: FrameKey) {
         if self.hold && self.frame.is_some_and(|frame| frame != key) {
             self.replaced += 1;
-            self.frame = None;
-            for port in &mut self.ports {
-                (port.sent, port.held) = (false, None);
-            }
+            self.abandon();
         }
     }
 }
 
 fn envelope(key: FrameKey, origin_ns: u64) -> Envelope {
-    Envelope { index: key.index, stamp_ns: key.stamp_ns, sent_ns: monotonic_ns(), origin_ns }
+    Envelope { index: key.index, stamp_ns: key.stamp_ns, sent_ns: monotonic_ns(), origin_ns, void: 0 }
 }
 
 impl Outputs for IpcOutputs {

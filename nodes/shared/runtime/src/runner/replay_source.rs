@@ -45,6 +45,7 @@ impl<N: Node> Runner<'_, N> {
         let (launch, index) = (self.launch, *next);
         let place = || format!("frame {index}");
         let begin_ns = monotonic_ns();
+        launch.beat(Some(index));
         self.outputs.begin(None, begin_ns);
         let produced = self.node.produce(index, &mut self.outputs, &self.context);
         match produced.map_err(|error| launch.node_error(place(), &error))? {

@@ -1,12 +1,15 @@
 use super::child::{self, Event, LastWords};
 use super::table::LiveTable;
 use super::territory::Territory;
-use super::{Options, Summary, SupervisorError};
+use super::watchdog::{Deadlines, Watchdog};
+use super::{Incident, Options, Summary, SupervisorError};
 use crate::board::{Board, State, Word};
+use crate::clock::monotonic_ns;
 use crate::ipc::{Bell, Topic};
 use crate::plan::Plan;
 use iceoryx2::prelude::{Node, ipc};
 use rustix::process::{Pid, Signal, kill_process};
+use std::collections::VecDeque;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
@@ -14,11 +17,17 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-const TICK: Duration = Duration::from_millis(100);
+const TICK: Duration = Duration::from_millis(50);
 /// From SIGTERM to SIGKILL.
-const LAST_GRACE: Duration = Duration::from_secs(3);
+const LAST_GRACE: Duration = Duration::from_millis(300);
+/// The same when the run has failed: nobody waits for the prompt.
+const FAILURE_GRACE: Duration = Duration::from_secs(3);
+/// For a node that is writing its files when all others are killed.
+const CLOSING_GRACE: Duration = Duration::from_secs(10);
 /// For taking back what a dead process left.
 const CLEANUP: Duration = Duration::from_secs(2);
+/// A live node that has lived so long is well: its earlier deaths no longer count against it.
+const WELL_AFTER: Duration = Duration::from_secs(30);
 
 /// One node's process, as the supervisor sees it.
 struct Charge {
@@ -27,6 +36,11 @@ struct Charge {
     start_at: Option<Instant>,
     finished: bool,
     words: LastWords,
+    /// Restarts that count against it, and when its present life began.
+    attempts: u32,
+    began: Instant,
+    /// Why its process was killed by the watchdog.
+    stalled: Option<String>,
 }
 
 /// How far the end has come.
@@ -37,8 +51,10 @@ enum Phase {
     Stopping,
     /// SIGTERM was sent to all.
     Terminating,
-    /// SIGKILL was sent to all.
+    /// SIGKILL was sent to all but those that are writing their files.
     Killing,
+    /// SIGKILL was sent to all.
+    KillingAll,
 }
 
 pub(super) struct Control<'a> {
@@ -54,6 +70,9 @@ pub(super) struct Control<'a> {
     next_phase_at: Option<Instant>,
     failure: Option<SupervisorError>,
     killed: Vec<String>,
+    incidents: VecDeque<Incident>,
+    watchdog: Watchdog,
+    begin: Instant,
     table: LiveTable,
     source_bell: Bell,
     /// Keeps every channel alive between the lives of its ends.
@@ -76,7 +95,16 @@ impl<'a> Control<'a> {
             }
         }
         let source_bell = Bell::of(&node, &plan.nodes[plan.source].name, plan.nodes.len())?;
-        let charge = || Charge { pid: None, start_at: None, finished: false, words: LastWords::default() };
+        let charge = || Charge {
+            pid: None,
+            start_at: None,
+            finished: false,
+            words: LastWords::default(),
+            attempts: 0,
+            began: Instant::now(),
+            stalled: None,
+        };
+        let [frame, start] = plan.deadlines_s.map(|seconds| Duration::from_secs(seconds.into()));
         Ok(Self {
             plan,
             board: territory.board(),
@@ -90,6 +118,9 @@ impl<'a> Control<'a> {
             next_phase_at: None,
             failure: None,
             killed: Vec::new(),
+            incidents: VecDeque::new(),
+            watchdog: Watchdog::new(Deadlines { frame, start }, plan.nodes.len()),
+            begin: Instant::now(),
             table: LiveTable::new(options.print),
             source_bell,
             _topics: topics,
@@ -98,7 +129,7 @@ impl<'a> Control<'a> {
     }
 
     /// Runs to the end; `true` when the run was asked to stop.
-    pub(super) fn run(mut self) -> Result<bool, SupervisorError> {
+    pub(super) fn run(&mut self) -> Result<bool, SupervisorError> {
         let signals = forward_signals(self.events.0.clone());
         for node in 0..self.charges.len() {
             self.start(node);
@@ -116,14 +147,34 @@ impl<'a> Control<'a> {
         drop(signals);
         match self.failure.take() {
             Some(failure) => Err(failure),
-            None if !self.killed.is_empty() => Err(SupervisorError::Killed(self.killed.join(", "))),
+            // A live run loses frames anyway, and one that had not begun has none.
+            None if self.plan.replay() && !self.killed.is_empty() => {
+                Err(SupervisorError::Killed(self.killed.join(", ")))
+            }
             None => Ok(self.phase != Phase::Running),
         }
     }
 
+    /// What the run's summary must say beside the board.
+    pub(super) fn tell(&mut self, summary: &mut Summary) {
+        summary.killed = std::mem::take(&mut self.killed);
+        summary.incidents = std::mem::take(&mut self.incidents).into();
+    }
+
+    fn note(&mut self, node: usize, what: String) {
+        let name = self.plan.nodes[node].name.clone();
+        self.table.say(&format!("node `{name}` {what}"));
+        if self.incidents.len() == Incident::KEPT {
+            self.incidents.pop_front();
+        }
+        self.incidents.push_back(Incident { node: name, at_s: self.begin.elapsed().as_secs_f64(), what });
+    }
+
     fn start(&mut self, node: usize) {
-        let name = &self.plan.nodes[node].name;
-        match child::start(&self.command, name, self.graph, &self.run_dir) {
+        self.board.beat(node, monotonic_ns(), None);
+        self.charges[node].began = Instant::now();
+        let (name, threads) = (&self.plan.nodes[node].name, self.plan.nodes[node].threads);
+        match child::start(&self.command, name, threads, self.graph, &self.run_dir) {
             Ok(child) => {
                 self.charges[node].pid = Some(child.id());
                 child::watch(child, node, &self.events.0);
@@ -147,22 +198,48 @@ impl<'a> Control<'a> {
             return;
         }
         self.board.set_state(node, State::Away);
-        if matches!(self.phase, Phase::Terminating | Phase::Killing) {
+        if self.is_ending() {
             return;
         }
-        let (name, how, words) =
-            (self.plan.nodes[node].name.clone(), child::how(status), self.charges[node].words.text());
-        let restarts = self.board.get(node, Word::Restarts);
-        if !child::died(status) {
+        let charge = &mut self.charges[node];
+        let how = charge.stalled.take().unwrap_or_else(|| child::how(status));
+        let (name, words) = (self.plan.nodes[node].name.clone(), charge.words.text());
+        let lives = !self.plan.replay();
+        if lives && charge.began.elapsed() >= WELL_AFTER {
+            charge.attempts = 0;
+        }
+        // An error of a node that never was ready is one of its configuration.
+        let heals = child::died(status) || (lives && self.board.get(node, Word::Generation) > 0);
+        if !heals {
             return self.fail(SupervisorError::Failed { node: name, how, words });
         }
-        if restarts >= u64::from(self.plan.restarts) {
-            return self.fail(SupervisorError::GaveUp { node: name, how, restarts, words });
+        let restarts = charge.attempts;
+        if restarts >= self.plan.restarts {
+            return self.fail(SupervisorError::GaveUp { node: name, how, restarts: restarts.into(), words });
         }
-        let pause = Duration::from_millis(50) * 2u32.pow(restarts.min(5) as u32);
-        self.table.say(&format!("node `{name}` died ({how}): starting it again"));
-        self.board.set(node, Word::Restarts, restarts + 1);
-        self.charges[node].start_at = Some(Instant::now() + pause);
+        charge.attempts += 1;
+        charge.start_at = Some(Instant::now() + Duration::from_millis(50) * 2u32.pow(restarts.min(5)));
+        self.board.add(node, Word::Restarts, 1);
+        self.note(node, format!("died ({how}): starting it again"));
+    }
+
+    fn is_ending(&self) -> bool {
+        matches!(self.phase, Phase::Terminating | Phase::Killing | Phase::KillingAll)
+    }
+
+    /// Kills what lives but does not move; it is buried, and started again, as any other that dies.
+    fn kill_stalled(&mut self) {
+        if !self.watchdog.is_due() || self.phase != Phase::Running {
+            return;
+        }
+        for node in 0..self.charges.len() {
+            let charge = &mut self.charges[node];
+            let Some(pid) = charge.pid.filter(|_| charge.stalled.is_none()) else { continue };
+            charge.stalled = self.watchdog.complaint(self.board, node, pid);
+            if charge.stalled.is_some() {
+                signal(pid, Signal::KILL);
+            }
+        }
     }
 
     fn look_around(&mut self) {
@@ -172,6 +249,7 @@ impl<'a> Control<'a> {
         if self.next_phase_at.is_some_and(|at| Instant::now() >= at) {
             self.escalate();
         }
+        self.kill_stalled();
         for node in 0..self.charges.len() {
             if self.charges[node].start_at.is_some_and(|at| Instant::now() >= at) {
                 self.charges[node].start_at = None;
@@ -180,7 +258,8 @@ impl<'a> Control<'a> {
             }
         }
         if self.table.is_due() {
-            self.table.show(&Summary::of(self.plan, self.board).to_string());
+            let below = self.options.below.0.as_ref().map_or_else(String::new, |below| below());
+            self.table.show(&format!("{}{below}", Summary::of(self.plan, self.board)));
         }
     }
 
@@ -197,57 +276,70 @@ impl<'a> Control<'a> {
         if self.failure.is_none() {
             self.failure = Some(error);
         }
-        if !matches!(self.phase, Phase::Terminating | Phase::Killing) {
+        if !self.is_ending() {
             self.phase = Phase::Stopping;
             self.escalate();
         }
     }
 
-    /// The next step towards the end: in order, then SIGTERM, then SIGKILL.
+    /// The next step towards the end: in order, then SIGTERM, then SIGKILL. In its start (or a node's new one) a graph
+    /// cannot end in order: it goes to SIGTERM at once.
     fn escalate(&mut self) {
         let pause = match self.phase {
-            Phase::Running => {
+            Phase::Running if self.living().all(|node| self.board.state(node) != State::Away) => {
                 self.phase = Phase::Stopping;
                 self.board.request_stop();
                 self.source_bell.ring();
-                Some(self.options.stop_timeout)
+                self.options.stop_timeout
             }
-            Phase::Stopping => {
-                self.phase = Phase::Terminating;
-                self.charges.iter_mut().for_each(|charge| charge.start_at = None);
-                if self.failure.is_none() {
-                    self.killed = self.names_of_the_living();
+            Phase::Running | Phase::Stopping => {
+                if self.failure.is_none() && self.phase == Phase::Stopping {
+                    self.killed = self.living().map(|node| self.plan.nodes[node].name.clone()).collect();
                 }
-                self.signal_all(Signal::TERM);
-                Some(LAST_GRACE)
+                self.phase = Phase::Terminating;
+                self.board.request_stop();
+                self.charges.iter_mut().for_each(|charge| charge.start_at = None);
+                self.signal_all(Signal::TERM, |_| true);
+                if self.failure.is_some() { FAILURE_GRACE } else { LAST_GRACE }
             }
-            Phase::Terminating | Phase::Killing => {
+            Phase::Terminating => {
                 self.phase = Phase::Killing;
-                self.signal_all(Signal::KILL);
-                None
+                self.signal_all(Signal::KILL, |state| state != State::Closing);
+                CLOSING_GRACE
+            }
+            Phase::Killing | Phase::KillingAll => {
+                self.phase = Phase::KillingAll;
+                self.signal_all(Signal::KILL, |_| true);
+                CLOSING_GRACE
             }
         };
-        self.next_phase_at = pause.map(|pause| Instant::now() + pause);
+        self.next_phase_at = Some(Instant::now() + pause);
     }
 
-    fn names_of_the_living(&self) -> Vec<String> {
-        let living = self.charges.iter().zip(&self.plan.nodes).filter(|(charge, _)| charge.pid.is_some());
-        living.map(|(_, node)| node.name.clone()).collect()
+    /// Nodes that have a process, or will have one again.
+    fn living(&self) -> impl Iterator<Item = usize> + '_ {
+        let lives = |node: &usize| self.charges[*node].pid.is_some() || self.charges[*node].start_at.is_some();
+        (0..self.charges.len()).filter(lives)
     }
 
-    fn signal_all(&self, signal: Signal) {
-        for pid in self.charges.iter().filter_map(|charge| charge.pid) {
-            if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
-                let _ = kill_process(pid, signal);
-            }
+    fn signal_all(&self, sent: Signal, to: impl Fn(State) -> bool) {
+        for (node, charge) in self.charges.iter().enumerate().filter(|(node, _)| to(self.board.state(*node))) {
+            log::debug!("{sent:?} to {}", self.plan.nodes[node].name);
+            charge.pid.into_iter().for_each(|pid| signal(pid, sent));
         }
+    }
+}
+
+fn signal(pid: u32, signal: Signal) {
+    if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
+        let _ = kill_process(pid, signal);
     }
 }
 
 impl Drop for Control<'_> {
     fn drop(&mut self) {
         // After a panic of the supervisor itself.
-        self.signal_all(Signal::KILL);
+        self.signal_all(Signal::KILL, |_| true);
     }
 }
 

@@ -5,8 +5,9 @@ mod control;
 mod summary;
 mod table;
 mod territory;
+mod watchdog;
 
-pub use summary::{NodeSummary, ObjectsWork, Summary};
+pub use summary::{Incident, NodeSummary, ObjectsWork, Summary};
 
 use crate::Registry;
 use crate::graph::{Graph, GraphError};
@@ -26,24 +27,38 @@ pub struct Options {
     /// What starts a node; its name, `--graph FILE --run-dir DIR` are appended. The default is this very program
     /// with `node`.
     pub command: Option<Vec<OsString>>,
-    /// How long a run may take to end in order once it is asked to stop.
+    /// How long a run may take to end in order once it is asked to stop. Then its nodes are told to close what they keep,
+    /// 300 ms later they are killed; only one that is writing its files by then may finish that.
     pub stop_timeout: Duration,
     /// Asks the run to stop, as SIGINT and SIGTERM do.
     pub stop: Arc<AtomicBool>,
     /// Whether to print logs, the table while running (on a terminal only) and the one at the end.
     pub print: bool,
+    /// What stands below the table while the run goes on.
+    pub below: Below,
+}
+
+/// A text that is asked for whenever the table is shown; none by default.
+#[derive(Clone, Default)]
+pub struct Below(pub Option<Arc<dyn Fn() -> String + Send + Sync>>);
+
+impl std::fmt::Debug for Below {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if self.0.is_some() { "Below(..)" } else { "Below(None)" })
+    }
 }
 
 impl Options {
-    /// Runs in this folder with the defaults: own program, 10 s to stop, printing.
+    /// Runs in this folder with the defaults: own program, half a second to stop, printing.
     #[must_use]
     pub fn new(run_dir: &Path) -> Self {
         Self {
             run_dir: run_dir.to_owned(),
             command: None,
-            stop_timeout: Duration::from_secs(10),
+            stop_timeout: Duration::from_millis(500),
             stop: Arc::default(),
             print: true,
+            below: Below::default(),
         }
     }
 }
@@ -81,7 +96,7 @@ pub enum SupervisorError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// A node ended with an error, which no restart would heal.
+    /// A node of a replay ended with an error, or one of any graph before it was ready: no restart would heal it.
     #[error("node `{node}` failed ({how}):\n{words}")]
     Failed {
         /// The node.
@@ -103,7 +118,7 @@ pub enum SupervisorError {
         /// The last lines that it wrote.
         words: String,
     },
-    /// Asked to stop, some nodes did not.
+    /// Asked to stop, some nodes of a replay did not.
     #[error("asked to stop, {0} did not end in time and had to be killed: their last frames may be missing")]
     Killed(String),
 }
@@ -116,18 +131,23 @@ pub enum SupervisorError {
 pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summary, SupervisorError> {
     crate::graph::check(graph, registry).map_err(GraphError::Problems)?;
     let plan = Plan::new(graph, registry)?;
+    let begin_ns = crate::clock::monotonic_ns();
     let territory = territory::Territory::claim(&options.run_dir, plan.nodes.len())?;
     let file = options.run_dir.join("graph.yaml");
     let as_it_runs = graph.resolved().map_err(GraphError::Problems)?.to_yaml()?;
-    std::fs::write(&file, as_it_runs).map_err(|source| SupervisorError::File { path: file.clone(), source })?;
-    let result = control::Control::new(&plan, &territory, options, &file)?.run();
-    let summary = Summary::of(&plan, territory.board());
+    crate::files::write(&file, as_it_runs.as_bytes())
+        .map_err(|source| SupervisorError::File { path: file.clone(), source })?;
+    let mut control = control::Control::new(&plan, &territory, options, &file)?;
+    let result = control.run();
+    let mut summary = Summary::of(&plan, territory.board()).since(begin_ns, plan.source, territory.board());
+    control.tell(&mut summary);
+    drop(control);
     drop(territory);
     if options.print {
         summary::print(&summary);
     }
-    let asked_to_stop = result?;
-    let summary = Summary { asked_to_stop, ..summary };
-    summary.write(&options.run_dir.join("summary.json"))?;
-    Ok(summary)
+    summary.asked_to_stop = *result.as_ref().unwrap_or(&false);
+    summary.failure = result.as_ref().err().map(ToString::to_string);
+    let written = summary.write(&options.run_dir.join("summary.json"));
+    result.and(written).map(|()| summary)
 }

@@ -12,8 +12,32 @@ use std::path::Path;
 pub struct Summary {
     /// The nodes in the graph's order.
     pub nodes: Vec<NodeSummary>,
+    /// From the start to the source's first frame, seconds.
+    pub startup_s: Option<f64>,
     /// Whether the run was asked to stop before its end.
     pub asked_to_stop: bool,
+    /// Nodes that had to be killed when the run was asked to stop: their last frames may be missing.
+    pub killed: Vec<String>,
+    /// Deaths, stalls and errors of nodes, the last [`Incident::KEPT`] of them.
+    pub incidents: Vec<Incident>,
+    /// Why the run failed; `None` when it did not.
+    pub failure: Option<String>,
+}
+
+/// Something that happened to a node.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Incident {
+    /// The node.
+    pub node: String,
+    /// When, seconds since the run began.
+    pub at_s: f64,
+    /// What, and what was done about it.
+    pub what: String,
+}
+
+impl Incident {
+    /// So many are kept: a live graph may run for weeks.
+    pub const KEPT: usize = 200;
 }
 
 /// What one node did.
@@ -31,6 +55,8 @@ pub struct NodeSummary {
     pub work_ms: Option<[f64; 2]>,
     /// Milliseconds from the source to this node's end of the frame: median and 99th percentile.
     pub age_ms: Option<[f64; 2]>,
+    /// CPU milliseconds of all threads of the process: before it was ready, and since.
+    pub cpu_ms: [f64; 2],
     /// Work by the number of objects in a frame, where the node's work depends on it.
     pub by_objects: Vec<ObjectsWork>,
     /// Frames given up for newer ones (live only).
@@ -39,6 +65,10 @@ pub struct NodeSummary {
     pub repeats: u64,
     /// How often it was started again.
     pub restarts: u64,
+    /// Frames dropped because they could not be used (live only), and why the last one was.
+    pub bad: u64,
+    /// Why the last of them was dropped.
+    pub last_bad: Option<String>,
 }
 
 /// Work in frames with so many objects.
@@ -59,12 +89,20 @@ impl Summary {
         let first_ns = times(Word::FirstNs).min().unwrap_or(0);
         let span_ns = times(Word::LastNs).max().unwrap_or(0).saturating_sub(first_ns);
         let of = |(i, node): (usize, &PlannedNode)| NodeSummary::of(&node.name, board, i, span_ns);
-        Self { nodes: nodes.map(of).collect(), asked_to_stop: false }
+        let nodes = nodes.map(of).collect();
+        let (killed, incidents) = (Vec::new(), Vec::new());
+        Self { nodes, startup_s: None, asked_to_stop: false, killed, incidents, failure: None }
+    }
+
+    /// Adds how long it took from `begin_ns` to the first frame.
+    pub(super) fn since(self, begin_ns: u64, source: usize, board: &Board) -> Self {
+        let first_ns = Some(board.get(source, Word::FirstNs)).filter(|ns| *ns > 0);
+        Self { startup_s: first_ns.map(|ns| ns.saturating_sub(begin_ns) as f64 * 1e-9), ..self }
     }
 
     pub(super) fn write(&self, path: &Path) -> Result<(), SupervisorError> {
         let text = serde_json::to_vec_pretty(self).map_err(std::io::Error::from);
-        text.and_then(|text| std::fs::write(path, text))
+        text.and_then(|text| crate::files::write(path, &text))
             .map_err(|source| SupervisorError::File { path: path.to_owned(), source })
     }
 }
@@ -81,10 +119,13 @@ impl NodeSummary {
             busy: (span_ns > 0).then(|| board.get(node, Word::WorkNs) as f64 / span_ns as f64),
             work_ms: both(&|share| board.work_ms(node, share)),
             age_ms: both(&|share| board.age_ms(node, share)),
+            cpu_ms: [Word::StartCpuNs, Word::CpuNs].map(|word| board.get(node, word) as f64 * 1e-6),
             by_objects: by_objects(board, node),
             drops: board.get(node, Word::Drops),
             repeats: board.get(node, Word::Repeats),
             restarts: board.get(node, Word::Restarts),
+            bad: board.get(node, Word::Bad),
+            last_bad: board.last_bad(node),
         }
     }
 }
@@ -99,14 +140,14 @@ impl fmt::Display for Summary {
         let width = self.nodes.iter().map(|node| node.name.len()).chain([4]).max().unwrap_or(4);
         writeln!(
             f,
-            "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
-            "node", "frames", "rate/s", "busy %", "work p50", "p99 ms", "age p50", "p99 ms", "drops", "restarts"
+            "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>6} {:>8}",
+            "node", "frames", "rate/s", "busy %", "work p50", "p99 ms", "age p50", "p99 ms", "drops", "bad", "restarts"
         )?;
         for node in &self.nodes {
             let ms = |pair: Option<[f64; 2]>, i: usize| pair.map_or("-".to_owned(), |pair| format!("{:.2}", pair[i]));
             writeln!(
                 f,
-                "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>8}",
+                "{:width$} {:>8} {:>8} {:>6} {:>9} {:>9} {:>9} {:>9} {:>7} {:>6} {:>8}",
                 node.name,
                 node.frames,
                 node.rate_hz.map_or("-".to_owned(), |rate| format!("{rate:.1}")),
@@ -116,14 +157,34 @@ impl fmt::Display for Summary {
                 ms(node.age_ms, 0),
                 ms(node.age_ms, 1),
                 node.drops,
+                node.bad,
                 node.restarts
             )?;
         }
-        self.write_by_objects(f)
+        self.write_by_objects(f)?;
+        self.write_incidents(f)
     }
 }
 
 impl Summary {
+    /// What the table cannot say.
+    fn write_incidents(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const SHOWN: usize = 20;
+        for node in &self.nodes {
+            if let Some(cause) = &node.last_bad {
+                writeln!(f, "{}: {} bad frames dropped, the last one: {cause}", node.name, node.bad)?;
+            }
+        }
+        let passed = self.incidents.len().saturating_sub(SHOWN);
+        for Incident { node, at_s, what } in &self.incidents[passed..] {
+            writeln!(f, "{at_s:.1} s: {node}: {what}")?;
+        }
+        if !self.killed.is_empty() {
+            writeln!(f, "killed when the run was asked to stop: {}", self.killed.join(", "))?;
+        }
+        Ok(())
+    }
+
     /// A column for each number of objects that frames had.
     fn write_by_objects(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let measured: Vec<&NodeSummary> = self.nodes.iter().filter(|node| !node.by_objects.is_empty()).collect();

@@ -1,7 +1,7 @@
 use crate::scene::{Scene, kill, wait_until};
 use crate::test;
 use libtest_mimic::Trial;
-use pseudoflow_runtime::supervisor::{NodeSummary, Summary};
+use pseudoflow_runtime::supervisor::{NodeSummary, Summary, SupervisorError};
 use rustix::process::Signal;
 
 /// A camera that is faster than what follows.
@@ -19,6 +19,12 @@ pub(crate) fn tests() -> Vec<Trial> {
         test("live::the_newest_wins_and_drops_are_counted", newest_wins),
         test("live::a_graph_that_keeps_up_keeps_its_frames", keeps_up),
         test("live::deaths_cost_frames_but_not_the_run", deaths_cost_frames),
+        test("live::bad_frames_are_dropped_counted_and_named", bad_frames_are_dropped),
+        test("live::a_graph_of_bad_frames_goes_on", only_bad_frames),
+        test("live::a_source_may_meet_bad_messages", bad_messages),
+        test("live::an_error_is_a_death", an_error_is_a_death),
+        test("live::an_error_in_the_first_start_ends_the_run", an_error_in_the_start),
+        test("live::what_always_fails_is_given_up_with_its_cause", what_always_fails),
         test("live::a_camera_can_take_the_results", camera_takes_results),
         test("live::a_recording_plays_at_its_own_pace", recording_is_paced),
     ]
@@ -75,13 +81,67 @@ fn deaths_cost_frames() {
     }
 }
 
+/// Bad frames are counted where they were found, and known by nobody behind.
+fn bad_frames_are_dropped() {
+    let scene = Scene::new(GRAPH).set("slow.bad_every", "3").set("slow.delay_ms", "3").set("camera.period_ms", "5");
+    let summary = scene.run();
+    let kept = indices(&scene);
+    assert!(kept.iter().all(|index| index % 3 != 0) && kept.last() == Some(&299), "{kept:?}");
+    let slow = node(&summary, "slow");
+    let lost: u64 = summary.nodes.iter().map(|node| node.drops + node.bad).sum();
+    assert!(slow.bad > 0 && kept.len() as u64 + lost == 300, "{summary}");
+    let cause = slow.last_bad.clone().unwrap_or_default();
+    assert!(cause.contains("input `a` from `camera`: told that frame") && cause.contains("dropped"), "{cause}");
+    assert!(summary.to_string().contains(&cause) && scene.text("summary.json").contains("told that frame"));
+}
+
+fn only_bad_frames() {
+    let scene = Scene::new(GRAPH).set("slow.bad_every", "1").set("slow.delay_ms", "0");
+    let summary = scene.run();
+    let (camera, slow) = (node(&summary, "camera"), node(&summary, "slow"));
+    assert!(camera.frames > 10 && slow.bad + slow.drops == camera.frames && slow.frames == 0, "{summary}");
+    assert_eq!(indices(&scene), Vec::<u64>::new());
+}
+
+fn bad_messages() {
+    let scene = Scene::new(GRAPH).set("camera.bad_every", "2").set("slow.delay_ms", "0");
+    let summary = scene.run();
+    assert_eq!(node(&summary, "camera").bad, 150, "{summary}");
+    assert!(indices(&scene).iter().all(|index| index % 2 == 1) && indices(&scene).contains(&299), "{summary}");
+}
+
+fn an_error_is_a_death() {
+    for victim in ["slow", "sink", "camera"] {
+        let scene = Scene::new(GRAPH).set("camera.frames", "1000").set(&format!("{victim}.fail_once"), "true");
+        let summary = scene.run();
+        assert_eq!(node(&summary, victim).restarts, 1, "{victim}: {summary}");
+        assert!(indices(&scene).contains(&999), "{victim}: the run goes on to the last frame");
+        let incident = &summary.incidents[0];
+        assert!(incident.node == victim && incident.what.contains("exit code 1"), "{incident:?}");
+    }
+}
+
+fn an_error_in_the_start() {
+    let error = Scene::new(GRAPH).set("slow.fail_at_start", "true").try_run().expect_err("an error");
+    assert!(matches!(error, SupervisorError::Failed { .. }), "{error}");
+    assert!(error.to_string().contains("told to fail in its start"), "{error}");
+}
+
+fn what_always_fails() {
+    let scene = Scene::new(GRAPH).set("camera.frames", "100000").set("slow.fail_always", "true").set("restarts", "2");
+    let error = scene.try_run().expect_err("an error");
+    assert!(matches!(error, SupervisorError::GaveUp { restarts: 2, .. }), "{error}");
+    assert!(error.to_string().contains("told to fail at frame"), "{error}");
+    assert!(scene.text("summary.json").contains("gave up after 2 restarts"), "the summary says why");
+}
+
 fn camera_takes_results() {
     let scene = Scene::new(
         "
 mode: live
 window: 2
 nodes:
-  bridge: {kind: ticker, inputs: {results: mixer/mixed}, config: {frames: 50, period_ms: 3}}
+  bridge: {kind: ticker, inputs: {results: mixer/mixed}, config: {frames: 400, period_ms: 3}}
   mixer:  {kind: mixer, inputs: {a: bridge/numbers}}
 ",
     );

@@ -2,6 +2,7 @@
 //! again as each node. One suite for what delivery promises: order, completeness, windows, restarts, stops.
 
 mod live;
+mod liveness;
 mod local;
 mod replay;
 mod scene;
@@ -12,6 +13,7 @@ use libtest_mimic::{Arguments, Trial};
 use pseudoflow_runtime::{Graph, supervisor};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().collect();
@@ -37,7 +39,9 @@ fn report(result: Result<(), String>) -> ExitCode {
 
 fn supervise(graph: &Path, run_dir: &Path) -> Result<(), String> {
     let graph = Graph::read(graph).map_err(|error| error.to_string())?;
-    let options = supervisor::Options { print: true, ..supervisor::Options::new(run_dir) };
+    // Patient, so that a busy machine ends in order, too.
+    let stop_timeout = Duration::from_secs(30);
+    let options = supervisor::Options { print: true, stop_timeout, ..supervisor::Options::new(run_dir) };
     supervisor::run(&graph, &toys::registry(), &options).map(|_| ()).map_err(|error| error.to_string())
 }
 
@@ -46,6 +50,7 @@ fn run_tests() -> ExitCode {
     // Each test is several processes; more than two tests at once only wait for each other.
     arguments.test_threads = arguments.test_threads.or(Some(2));
     let tests = replay::tests().into_iter().chain(local::tests()).chain(live::tests()).chain(stop::tests());
+    let tests = tests.chain(liveness::tests());
     libtest_mimic::run(&arguments, tests.collect()).exit_code()
 }
 

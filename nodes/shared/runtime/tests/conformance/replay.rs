@@ -29,6 +29,7 @@ pub(crate) fn tests() -> Vec<Trial> {
         test("replay::kills_from_outside_at_any_moment", kills_from_outside),
         test("replay::feedback_reaches_back", feedback_reaches_back),
         test("replay::an_error_ends_the_run_with_its_cause", an_error_ends_the_run),
+        test("replay::a_bad_frame_ends_the_run_with_its_cause", a_bad_frame_ends_the_run),
         test("replay::too_many_deaths_end_the_run", too_many_deaths),
         test("replay::a_forgotten_output_is_named", a_forgotten_output),
         test("replay::one_run_per_folder", one_run_per_folder),
@@ -156,6 +157,14 @@ fn an_error_ends_the_run() {
     let text = error.to_string();
     assert!(matches!(error, SupervisorError::Failed { ref node, .. } if node == "second"), "{text}");
     assert!(text.contains("frame 7") && text.contains("told to fail"), "{text}");
+}
+
+fn a_bad_frame_ends_the_run() {
+    let text = Scene::new(GRAPH).set("second.bad_every", "7").try_run().expect_err("an error").to_string();
+    assert!(
+        text.contains("`second`") && text.contains("frame 0") && text.contains("told that frame 0 is bad"),
+        "{text}"
+    );
 }
 
 fn too_many_deaths() {

@@ -27,7 +27,9 @@ impl Scene {
 
     pub(crate) fn options(&self) -> Options {
         let command = Some(vec![this_program().into(), "node".into()]);
-        Options { command, print: false, ..Options::new(self.dir.path()) }
+        // Patient, so that a busy machine ends in order, too.
+        let stop_timeout = Duration::from_secs(30);
+        Options { command, print: false, stop_timeout, ..Options::new(self.dir.path()) }
     }
 
     pub(crate) fn try_run(&self) -> Result<Summary, SupervisorError> {

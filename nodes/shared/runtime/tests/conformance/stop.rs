@@ -21,6 +21,8 @@ pub(crate) fn tests() -> Vec<Trial> {
         test("stop::a_signal_ends_the_run_in_order", || a_signal_ends_the_run(Signal::INT)),
         test("stop::sigterm_as_well", || a_signal_ends_the_run(Signal::TERM)),
         test("stop::live_as_well", stop_live),
+        test("stop::in_the_warm_up_as_well", stop_in_the_warm_up),
+        test("stop::a_live_node_that_hangs_is_killed_and_named", a_hanging_live_node),
         test("stop::a_node_that_hangs_is_killed_and_named", a_hanging_node),
         test("stop::nodes_die_with_the_supervisor_and_the_next_run_cleans_up", orphans),
         test("stop::a_polite_signal_to_a_node_is_a_death", a_polite_signal),
@@ -87,6 +89,38 @@ fn a_hanging_node() {
     stopper.join().expect("the stopper");
     let text = run.expect_err("an error").to_string();
     assert!(text.contains("mixer") && text.contains("killed"), "{text}");
+    assert!(!is_alive(scene.pid("mixer").expect("a pid")));
+    assert_nothing_left(scene.dir.path());
+}
+
+/// A node that loads for ten minutes: nothing waits for it.
+fn stop_in_the_warm_up() {
+    for mode in ["replay", "live"] {
+        let scene = Scene::new(GRAPH).set("mode", mode).set("mixer.start_ms", "600000");
+        let supervisor = supervise(&scene);
+        wait_until("all nodes", || NODES.iter().all(|node| scene.pid(node).is_some()));
+        kill(supervisor.id() as i32, Signal::INT);
+        let output = supervisor.wait_with_output().expect("an end");
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{mode}: {text}");
+        assert!(scene.text("summary.json").contains("\"asked_to_stop\": true"));
+        assert_nothing_left(scene.dir.path());
+    }
+}
+
+fn a_hanging_live_node() {
+    let scene = Scene::new(GRAPH).set("mode", "live").set("mixer.delay_ms", "600000");
+    let mut options = scene.options();
+    options.stop_timeout = Duration::from_millis(300);
+    let (stop, file) = (options.stop.clone(), scene.path("mixer.busy"));
+    let stopper = std::thread::spawn(move || {
+        wait_until("the work", || file.exists());
+        stop.store(true, Ordering::Release);
+    });
+    let run = pseudoflow_runtime::supervisor::run(&scene.graph, &crate::toys::registry(), &options);
+    stopper.join().expect("the stopper");
+    let summary = run.unwrap_or_else(|error| panic!("{error}"));
+    assert!(summary.asked_to_stop && summary.killed.contains(&"mixer".to_owned()), "{summary}");
     assert!(!is_alive(scene.pid("mixer").expect("a pid")));
     assert_nothing_left(scene.dir.path());
 }

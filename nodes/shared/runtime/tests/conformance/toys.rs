@@ -2,7 +2,9 @@
 
 use pseudoflow_msgs::layout::ALIGNMENT;
 use pseudoflow_msgs::{FrameKey, MalformedMessage, Message};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Registry, Role, read};
+use pseudoflow_runtime::{
+    Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Registry, Role, bad_input, read,
+};
 use rand::Rng;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -51,6 +53,10 @@ enum Place {
     After,
     Panic,
     Finish,
+    /// Stops itself (SIGSTOP), which is no death.
+    Stop,
+    /// Loops for ever.
+    Spin,
 }
 
 /// What every toy can be told.
@@ -67,6 +73,16 @@ pub(crate) struct Config {
     deaths: Vec<Death>,
     /// Fails (an error, no death) at this frame.
     fail_at: Option<u64>,
+    /// Fails in its start.
+    fail_at_start: bool,
+    /// Fails at every frame.
+    fail_always: bool,
+    /// Fails at the first frame of its first life.
+    fail_once: bool,
+    /// Cannot use every so manieth frame.
+    bad_every: Option<u64>,
+    /// Takes so long to start.
+    start_ms: u64,
     /// Sources: file whose lines count acknowledged frames; more than `window` ahead of it is an error.
     watch: Option<PathBuf>,
     window: u64,
@@ -78,23 +94,36 @@ impl Config {
     fn meet_fate(&self, context: &Context, frame: u64, place: Place) {
         let here = |d: &Death| d.life == context.restarts && d.frame == frame && d.place == place;
         if self.deaths.iter().any(here) {
-            assert!(place != Place::Panic, "a toy that was told to panic");
-            kill_self();
+            match place {
+                Place::Panic => panic!("a toy that was told to panic"),
+                Place::Stop => stop_self(),
+                Place::Spin => loop {
+                    std::hint::spin_loop();
+                },
+                _ => kill_self(),
+            }
         }
     }
 
     fn work(&self, context: &Context, frame: u64) -> Result<(), NodeError> {
         self.meet_fate(context, frame, Place::Before);
-        self.meet_fate(context, frame, Place::Panic);
+        [Place::Panic, Place::Stop, Place::Spin].into_iter().for_each(|place| self.meet_fate(context, frame, place));
         if self.delay_ms > 1000 {
             fs::write(context.out_dir.join(format!("{}.busy", context.name)), "")?;
         }
         std::thread::sleep(Duration::from_millis(self.delay_ms));
-        if self.fail_at == Some(frame) {
-            return Err(format!("told to fail at frame {frame}").into());
+        if self.bad_every.is_some_and(|every| frame.is_multiple_of(every)) {
+            return Err(bad_input("a", format!("told that frame {frame} is bad")));
         }
-        Ok(())
+        match self.fail_always || self.fail_at == Some(frame) || (self.fail_once && context.restarts == 0) {
+            true => Err(format!("told to fail at frame {frame}").into()),
+            false => Ok(()),
+        }
     }
+}
+
+fn stop_self() {
+    let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::STOP);
 }
 
 fn kill_self() {
@@ -232,6 +261,10 @@ impl Node for Mixer {
     }
     fn create(config: Config, context: &Context) -> Result<Self, NodeError> {
         sign_in(context)?;
+        std::thread::sleep(Duration::from_millis(config.start_ms));
+        if config.fail_at_start {
+            return Err("told to fail in its start".into());
+        }
         Ok(Self(config))
     }
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {

@@ -1,16 +1,25 @@
 //! Measures the tracker on a BOP scene with truth, which only this program sees.
 //!
-//! `cargo run --release --workspace --example track_sequence -- SCENE MODELS [--start truth|rough] [--looks rough] [--csv FILE]`
+//! `cargo run --release --workspace --example track_sequence -- SCENE MODELS [--start truth|rough] [--looks WEIGHTS] [--csv FILE]`
+//!
+//! `--looks` runs renderer, flow and pnp on what the tracker asks for; their answer comes `--delay` frames later. Files named
+//! `*.yaml` after `--pnp` are settings of the pnp node, `--config` takes the tracker's as JSON.
 
 #![allow(clippy::print_stdout)] // a measuring program talks to people
 
 use nalgebra::Point3;
 use pseudoflow_contour::{ModelSettings, load_or_make};
+use pseudoflow_flow::{FlowConfig, FlowNode};
 use pseudoflow_geometry::Pose;
 use pseudoflow_imaging::{BopScene, ObjectSet};
 use pseudoflow_metrics::{MatrixPose, ModelPoints, SceneTruth, add_m, adi_m};
+use pseudoflow_msgs::{AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, ObjectPose, ObjectPoses};
+use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
+use pseudoflow_renderer::{RendererConfig, RendererNode};
+use pseudoflow_runtime::{Context, InMemory, Node};
+use pseudoflow_tracking::Look;
 use pseudoflow_tracking::{Correction, CorrectionKind, Estimate, Frame, KnownObject, Tracker, TrackingConfig};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
 struct Arguments {
@@ -80,7 +89,11 @@ fn main() {
         (option("start", "truth"), option("looks", "none"), option("hz", "30").parse::<f64>().unwrap());
     let reset = option("reset", "no") == "yes";
     let mut scored: Vec<Scored> = Vec::new();
-    let (mut spent_ms, mut frames) = (0.0, 0);
+    let (mut spent_ms, mut look_ms, mut looks_made, mut frames) = (0.0, 0.0, 0, 0);
+    let mut network = (looks != "none").then(|| Network::open(&arguments, Path::new(&looks)));
+    let delay: usize = option("delay", "3").parse().unwrap();
+    let verbose = option("verbose", "no") == "yes";
+    let mut late: VecDeque<(usize, Vec<Correction>)> = VecDeque::new();
     let mut waiting: Vec<Correction> = Vec::new();
     let true_pose = |t: &MatrixPose| t.pose();
     for (index, frame) in scene.frames.iter().enumerate() {
@@ -110,13 +123,32 @@ fn main() {
         let wanted = tracker.ask();
         spent_ms += cpu_ms() - before;
         frames += 1;
-        if looks == "rough" {
-            for look in wanted {
-                let rough = frame.initial_poses.iter().find(|p| p.object_id == look.object_id);
-                waiting.extend(
-                    rough.map(|p| found(p.object_id, p.camera_from_object, CorrectionKind::Look { accepted: true })),
-                );
+        if let Some(network) = network.as_mut().filter(|_| !wanted.is_empty()) {
+            let before = cpu_ms();
+            looks_made += wanted.len();
+            let looked = network.look(&seen, &wanted);
+            look_ms += cpu_ms() - before;
+            for c in &looked {
+                if let Some(t) = truths.iter().find(|t| t.object_id == c.object_id) {
+                    let (points, _, d) = &points[&c.object_id];
+                    let e = |p: &Pose| add_m(points, &matrix(p), &t.camera_from_object) / d;
+                    let from =
+                        wanted.iter().find(|w| w.object_id == c.object_id).map_or(0.0, |w| e(&w.camera_from_object));
+                    if verbose {
+                        println!(
+                            "look {} object {} {:?}: {from:.3} -> {:.3}",
+                            frame.image_id,
+                            c.object_id,
+                            c.kind,
+                            e(&c.camera_from_object)
+                        );
+                    }
+                }
             }
+            late.push_back((index + delay, looked));
+        }
+        while late.front().is_some_and(|(due, _)| *due <= index + 1) {
+            waiting.extend(late.pop_front().unwrap().1);
         }
         for t in &truths {
             let estimate = estimates.iter().find(|e| e.object_id == t.object_id).cloned();
@@ -144,9 +176,79 @@ fn main() {
         }
     }
     report(&scored, spent_ms, frames);
+    println!(
+        "{looks_made} looks, {:.1} CPU-ms each, {:.1} a frame",
+        look_ms / looks_made.max(1) as f64,
+        look_ms / frames as f64
+    );
     if let Some(path) = arguments.options.get("csv") {
         write(&scored, Path::new(path));
     }
+}
+
+/// Renderer, flow and pnp in this process.
+struct Network {
+    renderer: RendererNode,
+    flow: FlowNode,
+    pnp: PnpNode,
+    context: Context,
+}
+
+impl Network {
+    fn open(arguments: &Arguments, weights: &Path) -> Self {
+        let number = |name: &str, default: u32| arguments.options.get(name).map_or(default, |v| v.parse().unwrap());
+        let context =
+            Context { name: "look".into(), seed: 1, out_dir: std::env::temp_dir(), restarts: 0, replay: true };
+        let size_px = number("size", 128);
+        let flow: FlowConfig = serde_yaml::from_str(&format!(
+            "{{model: {}, size_px: {size_px}, iterations: {}, engine: {{threads: 1}}}}",
+            weights.display(),
+            number("iterations", 4)
+        ))
+        .unwrap();
+        let pnp = arguments
+            .options
+            .get("pnp")
+            .map_or_else(PnpNodeConfig::default, |text| serde_yaml::from_str(text).unwrap());
+        Self {
+            renderer: RendererNode::create(RendererConfig::new(arguments.models.clone(), size_px), &context).unwrap(),
+            flow: FlowNode::create(flow, &context).unwrap(),
+            pnp: PnpNode::create(pnp, &context).unwrap(),
+            context,
+        }
+    }
+
+    fn look(&mut self, frame: &Frame<'_>, wanted: &[Look]) -> Vec<Correction> {
+        let key = FrameKey { index: frame.index, stamp_ns: frame.stamp_ns };
+        let mut messages = InMemory::new(key);
+        let (width, height) = frame.rgb.dimensions();
+        let k = frame.intrinsics;
+        let header = CameraFrameHeader {
+            width,
+            height,
+            scene_id: 1,
+            image_id: frame.index as u32,
+            intrinsics: [k.fx, k.fy, k.cx, k.cy],
+            frame_id: CameraFrameHeader::frame_id_bytes("camera").unwrap(),
+        };
+        let mut bytes = AlignedBytes::zeroed(CameraFrame::byte_len(width, height));
+        CameraFrame::write(&mut bytes, header).rgb.copy_from_slice(frame.rgb);
+        messages.messages.push(("frame".into(), bytes));
+        let poses: Vec<ObjectPose> = wanted.iter().map(pseudoflow_tracker::request).collect();
+        let mut bytes = AlignedBytes::zeroed(ObjectPoses::byte_len(poses.len()));
+        ObjectPoses::write(&mut bytes, 1, frame.index as u32, &poses);
+        messages.messages.push(("initial_poses".into(), bytes));
+        step(&mut self.renderer, &mut messages, &self.context);
+        step(&mut self.flow, &mut messages, &self.context);
+        let looks = self.pnp.looks(&messages, &self.context).unwrap();
+        looks.iter().filter_map(|l| pseudoflow_tracker::looked(frame.index, &l.pose, 0.3)).collect()
+    }
+}
+
+fn step<N: Node>(node: &mut N, messages: &mut InMemory, context: &Context) {
+    let mut out = InMemory::new(messages.key.unwrap());
+    node.process(messages, &mut out, context).unwrap();
+    messages.messages.append(&mut out.messages);
 }
 
 fn matrix(pose: &Pose) -> MatrixPose {
@@ -179,13 +281,13 @@ fn report(scored: &[Scored], spent_ms: f64, frames: usize) {
 
 fn write(scored: &[Scored], path: &Path) {
     let mut out = String::from(
-        "image,object,visible,error_d,measured,confidence,agreement,lines,overlap,texture,textured,good\n",
+        "image,object,visible,error_d,measured,confidence,agreement,lines,overlap,texture,textured,good,likeness,contrast\n",
     );
     for s in scored {
         let Some(e) = &s.estimate else { continue };
         let v = &e.evidence;
         out += &format!(
-            "{},{},{:.3},{:.4},{},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{}\n",
+            "{},{},{:.3},{:.4},{},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{},{:.3},{:.3}\n",
             s.image,
             s.id,
             s.visible,
@@ -197,7 +299,9 @@ fn write(scored: &[Scored], path: &Path) {
             v.overlap,
             v.texture,
             v.textured,
-            e.good_frames
+            e.good_frames,
+            v.likeness,
+            v.contrast
         );
     }
     std::fs::write(path, out).unwrap();
