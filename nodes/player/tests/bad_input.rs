@@ -118,6 +118,7 @@ fn config(source: &Path) -> PlayerConfig {
         initial_poses: InitialPoses { topic: Some("/initial_poses".into()), file: None },
         image_topic: None,
         camera_info_topic: None,
+        rectangles_topic: None,
         rectified: false,
         calibration: None,
         only_objects: None,
