@@ -57,6 +57,16 @@ fn every_graph_that_is_shipped_has_no_problem() {
 }
 
 #[test]
+fn parameters_and_nodes_that_a_graph_does_not_have() {
+    assert_says(&check_with("size=256"), &["size=256", "a parameter (source", "size_px"]);
+    let said = refused(&["check", "config/graphs/refine.yaml", "--without", "judge"]);
+    assert_says(&said, &["--without judge", "no such node", "evaluator"]);
+    let without = run(&["check", "config/graphs/refine.yaml", "--without", "evaluator,recorder", "--set", "size_px=256"]);
+    assert!(without.status.success(), "{}", String::from_utf8_lossy(&without.stderr));
+    assert!(String::from_utf8_lossy(&without.stdout).contains("5 nodes"));
+}
+
+#[test]
 fn unknown_keys_and_files_that_are_not_there() {
     assert_says(&check_with("renderer.sise_px=128"), &["renderer", "sise_px"]);
     assert_says(&check_with("flow.model=nowhere.safetensors"), &["flow", "nowhere.safetensors"]);

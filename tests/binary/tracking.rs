@@ -1,4 +1,4 @@
-//! Tracking as processes, with pnp's poses fed back: whatever dies in between, the run ends and its recording is whole.
+//! Tracking as processes, with what search and looks have found fed back: whatever dies in between, the run ends and its recording is whole.
 
 mod common;
 
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-const NODES: [&str; 6] = ["player", "initializer", "renderer", "flow", "pnp", "recorder"];
+const NODES: [&str; 7] = ["player", "tracker", "initializer", "renderer", "flow", "pnp", "recorder"];
 const NETWORK: &str = "name: tiny\ninput_px: [96, 64]\nwidths: [16, 24]\npyramid: 16\n";
 const FRAMES: &str = "15";
 

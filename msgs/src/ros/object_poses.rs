@@ -93,6 +93,9 @@ pub enum DetectionError {
     /// A score that is no number.
     #[error("the score of `{0}` is {1}: mend the detector")]
     Score(String, f64),
+    /// A covariance that holds no numbers.
+    #[error("the covariance of `{0}` is not finite: mend the detector")]
+    Covariance(String),
 }
 
 impl DetectionError {
@@ -104,6 +107,7 @@ impl DetectionError {
             Self::UnknownClass(_) => "unknown object",
             Self::NotAPose(_) => "pose",
             Self::Score(..) => "score",
+            Self::Covariance(_) => "covariance",
         }
     }
 }
@@ -145,6 +149,9 @@ fn object_pose(detection: &Detection3D, naming: &Naming) -> Result<ObjectPose, D
     }
     let norm = if (norm - 1.0).abs() < ROUNDING { 1.0 } else { norm };
     let covariance = result.pose.covariance;
+    if !covariance.iter().flatten().all(|v| v.is_finite()) {
+        return Err(DetectionError::Covariance(class_id.clone()));
+    }
     Ok(ObjectPose {
         object_id,
         instance: 0,
@@ -221,22 +228,20 @@ mod tests {
 
     #[test]
     fn unusable_detections_say_why() {
-        let poses = [0, 1, 2, 3].map(|instance| pose(5, instance, PoseStatus::Ok, 0.7));
+        let poses: Vec<_> = (0..7).map(|instance| pose(5, instance, PoseStatus::Ok, 0.7)).collect();
         let mut array = detections(&header(), &poses, &naming());
         array.detections[0].results.clear();
         array.detections[1].results[0].hypothesis.class_id = "teapot".into();
         array.detections[2].results[0].pose.pose.position.x = f64::NAN;
         array.detections[3].results[0].pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.0 };
+        array.detections[4].results[0].hypothesis.score = f64::INFINITY;
+        array.detections[5].results[0].hypothesis.score = f64::NAN;
+        array.detections[6].results[0].pose.covariance[5][5] = f64::NAN;
         let (poses, errors) = object_poses(&array, &naming());
         assert!(poses.is_empty());
-        let not_a_pose = || DetectionError::NotAPose("mustard".into());
-        let expected = [
-            DetectionError::Empty("mustard".into()),
-            DetectionError::UnknownClass("teapot".into()),
-            not_a_pose(),
-            not_a_pose(),
-        ];
-        assert_eq!(errors, expected);
+        let kinds: Vec<_> = errors.iter().map(DetectionError::kind).collect();
+        assert_eq!(kinds, ["empty", "unknown object", "pose", "pose", "score", "score", "covariance"]);
+        assert!(errors.iter().skip(2).all(|error| error.to_string().contains("`mustard`")));
     }
 
     #[test]

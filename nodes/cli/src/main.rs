@@ -24,9 +24,9 @@ enum Command {
     /// Starts, watches and ends the nodes of a graph.
     Run(commands::run::Args),
     /// Checks a graph without starting anything.
-    Check(commands::run::CheckArgs),
+    Check(commands::run::GraphArgs),
     /// Draws a graph: mermaid text, as GitHub and many editors show it.
-    Graph(commands::run::DrawArgs),
+    Graph(commands::run::GraphArgs),
     /// Prints the JSON schema of graphs.
     Schema,
     /// Prints the page about ROS 2: topics, settings, arguments.

@@ -10,7 +10,7 @@ use pseudoflow_msgs::ros::Naming;
 use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Role};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Produced, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -343,7 +343,8 @@ impl Node for PlayerNode {
 
     fn produce(&mut self, index: u64, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
         let Some((number, sample)) = self.draw(index, context) else { return Ok(Produced::End) };
-        let mut frame = self.load(number)?;
+        // A file is looked at when the recording is opened; what cannot be decoded shows itself here.
+        let mut frame = self.load(number).or_bad_input("source")?;
         let of_rate = |hz: f64| 1_000_000_000 + (index as f64 / hz * 1e9).round() as i64;
         let key = FrameKey { index, stamp_ns: self.config.hz.map_or(frame.stamp_ns, of_rate) };
         if let Some(sample) = &sample {

@@ -9,7 +9,7 @@ use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, RegionStatus
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceViews};
-use pseudoflow_runtime::{Inputs, NodeError, read};
+use pseudoflow_runtime::{Inputs, NodeError, OrBadInput, bad_input, read};
 use pseudoflow_solver::{FlowEvidence, JointResult, JointSolver, JointTask, PixelBuffer, PnpResult, PnpStatus};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -109,7 +109,8 @@ impl Joint {
     pub(crate) fn looks(&mut self, inputs: &dyn Inputs, seed: u64) -> Result<Vec<Look>, NodeError> {
         let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
         let [fx, fy, cx, cy] = frame.header.intrinsics;
-        let rgb = image_of_bytes(frame.rgb, frame.header.width as usize, frame.header.height as usize)?;
+        let rgb = image_of_bytes(frame.rgb, frame.header.width as usize, frame.header.height as usize)
+            .or_bad_input("frame")?;
         let camera = Intrinsics { fx, fy, cx, cy };
         let mut looks = Vec::new();
         let mut instances = match self.stages {
@@ -141,7 +142,7 @@ impl Joint {
         let size_px = instance.planes.as_ref().map_or(NO_CROP_PX, |p| p.field.size_px);
         self.open_solver(size_px)?;
         let Self { objects, solver, buffer, .. } = self;
-        let known = objects.get(&id).ok_or_else(|| format!("object {id} is not in `objects`: give its set"))?;
+        let known = objects.get(&id).ok_or_else(|| unknown(id))?;
         let (_, solver) = solver.as_mut().ok_or("no solver")?;
         let hiders: Vec<Hider<'_>> = all
             .iter()
@@ -217,7 +218,7 @@ impl Joint {
     ) -> Result<Features, NodeError> {
         let Self { objects, gate, config, .. } = self;
         let id = instance.given.object_id;
-        let known = objects.get(&id).ok_or_else(|| format!("object {id} is not in `objects`: give its set"))?;
+        let known = objects.get(&id).ok_or_else(|| unknown(id))?;
         let scale = ContourScale {
             rough: instance.rough,
             middle_m: known.model.centre_m(),
@@ -260,7 +261,7 @@ fn of_pictures(
     let blocks_across = config.gate.clone().unwrap_or_default().blocks_across;
     let evidence = evidence(planes, &solved, blocks_across, gate)?;
     let threshold_px = config.solver.clone().scaled_to(planes.field.size_px).threshold_px;
-    Ok(Features::of(&solved, &evidence, &planes.scale(threshold_px)))
+    Ok(planes.features(&solved, &evidence, threshold_px))
 }
 
 fn message_status(status: RegionStatus) -> PoseStatus {
@@ -287,6 +288,10 @@ fn skipped(pose: ObjectPose) -> Look {
     Look { pose, seen: f64::NEG_INFINITY, refinement: None }
 }
 
+fn unknown(id: u32) -> NodeError {
+    bad_input("initial_poses", format!("object {id} is not in `objects`: give its set"))
+}
+
 /// What can be refined of rough poses; the others go to `looks` with their status.
 fn of_poses(poses: Vec<ObjectPose>, looks: &mut Vec<Look>) -> Vec<Instance<'static>> {
     let mut instances = Vec::with_capacity(poses.len());
@@ -308,7 +313,7 @@ fn of_views<'a>(
     flow: &FlowFields<'a>,
     looks: &mut Vec<Look>,
 ) -> Result<Vec<Instance<'a>>, NodeError> {
-    belong_together(views, flow)?;
+    belong_together(views, flow).or_bad_input("flow")?;
     looks.extend(views.skipped.iter().copied().map(skipped));
     let instance = |i: usize| {
         let planes = planes(views, flow, i)?;

@@ -4,7 +4,7 @@ use crate::joint::{Joint, Stages};
 use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use pseudoflow_geometry::{Pose, quaternion_xyzw};
 use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceViews};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
 use pseudoflow_solver::{PixelBuffer, PnpResult, PnpStatus, Solver};
 use rand::Rng;
 
@@ -72,7 +72,7 @@ impl PnpNode {
         let config = self.config.gate.clone().unwrap_or_default();
         let evidence = evidence(planes, found, config.blocks_across, &mut self.gate)?;
         let threshold_px = self.solver(planes.field.size_px)?.config().threshold_px;
-        let features = Features::of(found, &evidence, &planes.scale(threshold_px));
+        let features = planes.features(found, &evidence, threshold_px);
         let verdict = self.model.verdict(&features);
         let decision = config.decide(found, &evidence, &verdict, planes.field.size_px);
         let refused = self.config.gate.is_some() && !decision.accept;
@@ -124,7 +124,7 @@ impl PnpNode {
         }
         let views = read::<ReferenceViews<'static>>(inputs, "views")?;
         let flow = read::<FlowFields<'static>>(inputs, "flow")?;
-        belong_together(&views, &flow)?;
+        belong_together(&views, &flow).or_bad_input("flow")?;
         let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
         let skipped = |pose: &ObjectPose| Look { pose: *pose, seen: f64::NEG_INFINITY, refinement: None };
         let mut looks: Vec<Look> = views.skipped.iter().map(skipped).collect();

@@ -1,6 +1,6 @@
 //! The planes of a rendered view with its flow and the real crop, as solver and gate take them.
 
-use crate::gate::{Evidence, Gate, GateView, Scale};
+use crate::gate::{Evidence, Feature, Features, Gate, GateView, Scale};
 use pseudoflow_geometry::{Intrinsics, pose_from_quaternion};
 use pseudoflow_msgs::{FlowFields, ReferenceView, ReferenceViews};
 use pseudoflow_runtime::NodeError;
@@ -24,6 +24,14 @@ impl ViewPlanes<'_> {
             diameter_m: self.view.diameter_m,
             initial_depth_m: self.field.camera_from_object.translation.z,
         }
+    }
+}
+
+impl ViewPlanes<'_> {
+    /// What a solution and the pictures say, and how sure the network is of its flow.
+    pub(crate) fn features(&self, found: &PnpResult, evidence: &Evidence, threshold_px: f64) -> Features {
+        let certainty = self.field.mean_certainty().unwrap_or(f64::NAN);
+        Features::of(found, evidence, &self.scale(threshold_px)).with(Feature::Certainty, certainty)
     }
 }
 

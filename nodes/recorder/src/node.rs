@@ -7,10 +7,10 @@ use pseudoflow_imaging::RgbImage;
 use pseudoflow_msgs::ros::{Header, Naming, Time};
 use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
 use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, files, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Settings of the recorder node.
@@ -41,7 +41,15 @@ pub struct RecorderConfig {
     /// How long the object of `/object_pose` may be lost before another takes its place, seconds.
     #[serde(default = "default_switch_after_s")]
     pub switch_after_s: f64,
+    /// Goes on in a new file of the recording when one has so many bytes of messages, at least a million, or 100,000 frames
+    /// (what a file's index takes in memory until it is closed grows with them); without: 4 GiB.
+    #[serde(default)]
+    pub max_bytes: Option<u64>,
 }
+
+/// Of a file when the configuration gives none.
+const MAX_BYTES: u64 = 4 << 30;
+const MAX_FRAMES: u64 = 100_000;
 
 impl RecorderConfig {
     /// Records all that comes, without overlay.
@@ -56,6 +64,7 @@ impl RecorderConfig {
             objects: None,
             object: None,
             switch_after_s: default_switch_after_s(),
+            max_bytes: None,
         }
     }
 
@@ -85,7 +94,8 @@ pub struct RecorderNode {
     open: Option<(BagWriter, Topics)>,
     /// What a predecessor left, until the first frame of this life.
     resumed: Option<BagWriter>,
-    recorded: BTreeSet<u32>,
+    /// Below it every frame is recorded: frames of a replay come in order, those of a live graph are counted here.
+    next: u32,
     painter: Option<Painter>,
     naming: Naming,
     followed: Following,
@@ -102,10 +112,13 @@ impl RecorderNode {
         let shown = optional::<Pictures<'static>>(inputs, "pictures")?;
         let period_ns = self.config.period_ms.map(|ms| i64::from(ms) * 1_000_000);
         let stamp_ns = period_ns.map_or(inputs.key().stamp_ns, |ns| ns * i64::from(sequence));
-        let stamp = Time::from_ns(stamp_ns).ok_or_else(|| format!("stamp {stamp_ns} ns does not fit into ROS time"))?;
+        let stamp = Time::from_ns(stamp_ns).filter(|_| stamp_ns >= 0);
+        let stamp = stamp.ok_or_else(|| format!("stamp {stamp_ns} ns does not fit into ROS time and a recording"));
+        let stamp = stamp.or_bad_input("frame")?;
         let header = Header { stamp, frame_id: frame.header.frame_id().to_owned() };
         let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb.to_vec());
-        let image = image.ok_or("the frame has too few pixels")?;
+        let image = image.filter(|image| image.width() > 0 && image.height() > 0);
+        let image = image.ok_or("the frame has too few pixels").or_bad_input("frame")?;
         let overlay = self.overlay(image.clone(), &frame, &likeliest, poses.unwrap_or_default())?;
         let followed = poses.map(|poses| self.followed.choose(inputs.key().stamp_ns, poses)).transpose()?.flatten();
         let naming = self.naming.clone();
@@ -118,10 +131,11 @@ impl RecorderNode {
             overlay: overlay.is_some(),
             statuses: statuses.is_some(),
         };
+        let max_bytes = self.config.max_bytes.unwrap_or(MAX_BYTES);
         let (bag, topics) = self.open(extras)?;
         let mut writer = FrameWriter { bag, topics, naming: &naming, header, stamp_ns, sequence };
         if extras.images {
-            writer.image(jpeg(&image, jpeg_quality)?, frame.header)?;
+            writer.image(jpeg(&image, jpeg_quality).or_bad_input("frame")?, frame.header)?;
         }
         if let Some(initial) = initial {
             writer.initial_poses(initial)?;
@@ -141,7 +155,22 @@ impl RecorderNode {
             pictures.map_or(Ok(()), |folder| picture(&folder, sequence, &bytes))?;
             writer.overlay(bytes)?;
         }
-        Ok(bag.end_frame()?)
+        bag.end_frame()?;
+        let (bytes, frames) = bag.current_file();
+        if bytes >= max_bytes || frames >= MAX_FRAMES {
+            bag.split()?;
+        }
+        Ok(())
+    }
+
+    /// What the frame is called in the recording; `None` when it is in there.
+    fn sequence(&self, index: u64, replay: bool) -> Result<Option<u32>, NodeError> {
+        if !replay {
+            // A live source goes on with other numbers after its death, and none of its frames comes twice.
+            return Ok(Some(self.next));
+        }
+        let sequence = u32::try_from(index).map_err(|_| "a recording holds 2^32 frames at most")?;
+        Ok((sequence >= self.next).then_some(sequence))
     }
 
     /// The bag, made or taken up when the first frame comes.
@@ -167,7 +196,7 @@ impl RecorderNode {
     ) -> Result<Option<RgbImage>, NodeError> {
         let Some(painter) = &self.painter else { return Ok(None) };
         let [fx, fy, cx, cy] = frame.header.intrinsics;
-        painter.paint(&mut image, &Intrinsics { fx, fy, cx, cy }, initial, poses)?;
+        painter.paint(&mut image, &Intrinsics { fx, fy, cx, cy }, initial, poses).or_bad_input("poses")?;
         Ok(Some(image))
     }
 }
@@ -179,10 +208,11 @@ fn optional<'a, M: Message>(inputs: &'a dyn Inputs, port: &'static str) -> Resul
 
 /// Writes the picture of a frame beside its place and renames it.
 fn picture(folder: &Path, sequence: u32, jpeg: &[u8]) -> Result<(), NodeError> {
-    std::fs::create_dir_all(folder)?;
+    files::private_folder(folder)?;
     let path = folder.join(format!("{sequence:06}.jpg"));
     let beside = path.with_extension("part");
-    std::fs::write(&beside, jpeg)?;
+    let _ = std::fs::remove_file(&beside); // of a recorder that was killed here
+    files::create_private(&beside)?.write_all(jpeg)?;
     Ok(std::fs::rename(&beside, &path)?)
 }
 
@@ -217,6 +247,9 @@ impl Node for RecorderNode {
         if !(config.switch_after_s >= 0.0 && config.switch_after_s.is_finite()) {
             return Err(format!("`switch_after_s: {}`: give seconds from 0 on", config.switch_after_s).into());
         }
+        if config.max_bytes.is_some_and(|bytes| bytes < 1_000_000) {
+            return Err("`max_bytes`: give at least 1000000, or leave it out".into());
+        }
         if config.path.file_name().is_none() {
             return Err(format!("`path: {}`: give the folder that the recording will be", config.path.display()).into());
         }
@@ -227,26 +260,29 @@ impl Node for RecorderNode {
         let painter = config.overlay.as_ref().map(Painter::open).transpose()?;
         let naming = Catalogue::load_if(config.object_set())?.naming;
         let followed = Following::open(&config, &naming, context)?;
-        let mut node = Self { config, open: None, resumed: None, recorded: BTreeSet::new(), painter, naming, followed };
+        let mut node = Self { config, open: None, resumed: None, next: 0, painter, naming, followed };
         let path = &node.config.path;
         if context.restarts == 0 && path.exists() {
             return Err(BagError::Exists { path: path.clone() }.into());
         }
         if path.exists() {
             let (bag, resumed) = BagWriter::resume(path, Packing::default())?;
-            log::info!("{}: goes on after {} recorded frames", path.display(), resumed.sequences.len());
+            log::info!("{}: goes on after {} recorded frames", path.display(), resumed.next_sequence);
             resumed.mended.iter().for_each(|damage| log::warn!("mended: {damage}"));
-            (node.recorded, node.resumed) = (resumed.sequences, Some(bag));
+            (node.next, node.resumed) = (resumed.next_sequence, Some(bag));
         }
         Ok(node)
     }
 
-    fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
-        let sequence = u32::try_from(inputs.key().index).map_err(|_| "a recording holds 2^32 frames at most")?;
-        if !self.recorded.insert(sequence) {
-            return Ok(());
+    fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
+        let Some(sequence) = self.sequence(inputs.key().index, context.replay)? else { return Ok(()) };
+        if let Err(error) = self.record(inputs, sequence) {
+            // Of a bad frame nothing is recorded.
+            self.open.iter_mut().for_each(|(bag, _)| bag.abandon_frame());
+            return Err(error);
         }
-        self.record(inputs, sequence)
+        self.next = sequence.checked_add(1).ok_or("a recording holds 2^32 frames at most")?;
+        Ok(())
     }
 
     fn finish(&mut self, _: &Context) -> Result<(), NodeError> {
@@ -264,8 +300,8 @@ impl Node for RecorderNode {
 mod tests {
     use super::*;
     use pseudoflow_msgs::{AlignedBytes, CameraFrameHeader, FrameKey};
-    use pseudoflow_runtime::InMemory;
     use pseudoflow_runtime::bag::BagReader;
+    use pseudoflow_runtime::{BadInput, InMemory};
 
     fn frame(index: u64) -> InMemory {
         let key = FrameKey { index, stamp_ns: 1_000_000_000 + 33_000_000 * index as i64 };
@@ -292,8 +328,7 @@ mod tests {
     }
 
     fn recorder(folder: &std::path::Path, restarts: u32) -> RecorderNode {
-        let config = RecorderConfig::new(folder.join("run"));
-        RecorderNode::create(config, &context(folder, restarts)).unwrap()
+        RecorderNode::create(RecorderConfig::new(folder.join("run")), &context(folder, restarts)).unwrap()
     }
 
     #[test]
@@ -338,6 +373,72 @@ mod tests {
         let info = BagReader::open(&folder.path().join("run")).unwrap().info().unwrap();
         let topics: Vec<_> = info.topics.iter().map(|t| (t.name.as_str(), t.count)).collect();
         assert_eq!(topics, [("/labels/sigma/compressed", 2), ("/labels/flow/compressed", 2)]);
+    }
+
+    fn live(folder: &std::path::Path) -> Context {
+        Context { replay: false, ..context(folder, 0) }
+    }
+
+    fn images_in(path: &std::path::Path) -> usize {
+        let info = BagReader::open(path).unwrap().info().unwrap();
+        info.topics.iter().find(|t| t.name == "/camera/image/compressed").map_or(0, |topic| topic.count)
+    }
+
+    /// A bridge counts from 2^32 on after its first restart.
+    #[test]
+    fn a_live_source_may_begin_with_any_number() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut node = recorder(folder.path(), 0);
+        for index in [7, 8, 1 << 32, (1 << 32) + 1, 3 << 32] {
+            let mut inputs = frame(7);
+            inputs.key = Some(FrameKey { index, stamp_ns: 5 });
+            node.process(&inputs, &mut InMemory::default(), &live(folder.path())).unwrap();
+        }
+        node.finish(&live(folder.path())).unwrap();
+        assert_eq!(images_in(&folder.path().join("run")), 5);
+    }
+
+    #[test]
+    fn a_bad_frame_is_said_to_be_one_and_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut node = recorder(folder.path(), 0);
+        let context = live(folder.path());
+        let mut process = |inputs: &InMemory| node.process(inputs, &mut InMemory::default(), &context);
+        process(&frame(0)).unwrap();
+        let mut before_the_epoch = frame(1);
+        before_the_epoch.key = Some(FrameKey { index: 1, stamp_ns: -1 });
+        let mut without_pixels = frame(2);
+        let mut bytes = AlignedBytes::zeroed(CameraFrame::byte_len(0, 0));
+        let mut header = *CameraFrame::view(&without_pixels.messages[0].1).unwrap().header;
+        (header.width, header.height) = (0, 0);
+        CameraFrame::write(&mut bytes, header);
+        without_pixels.messages[0].1 = bytes;
+        let mut cut_off = frame(3);
+        cut_off.messages[0].1 = AlignedBytes::zeroed(8);
+        for bad in [before_the_epoch, without_pixels, cut_off] {
+            let error = process(&bad).unwrap_err();
+            assert_eq!(error.downcast_ref::<BadInput>().map(|bad| bad.port), Some("frame"), "{error}");
+        }
+        process(&frame(4)).unwrap();
+        node.finish(&context).unwrap();
+        assert_eq!(images_in(&folder.path().join("run")), 2);
+    }
+
+    #[test]
+    fn a_long_recording_is_several_files_for_their_owner_alone() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        let config = RecorderConfig { max_bytes: Some(1500), ..RecorderConfig::new(path.clone()) };
+        let context = context(folder.path(), 0);
+        let mut node = RecorderNode::create(config, &context).unwrap();
+        (0..20).for_each(|index| node.process(&frame(index), &mut InMemory::default(), &context).unwrap());
+        node.finish(&context).unwrap();
+        assert_eq!(images_in(&path), 20);
+        let files: Vec<_> = std::fs::read_dir(&path).unwrap().map(|file| file.unwrap()).collect();
+        assert!(files.len() > 3, "{files:?}");
+        let rights = |path: &std::path::Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        assert!(files.iter().all(|file| rights(&file.path()) == 0o600) && rights(&path) == 0o700);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use pseudoflow_msgs::{
     CameraFrame, ObjectPose, ObjectPoses, PartnerFrames, ReferenceView, ReferenceViews, ReferenceViewsHeader,
     ReferenceViewsMut,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -172,14 +172,16 @@ impl Node for RendererNode {
             None => &[],
         };
         let size = (width, height);
-        let plan = plan(initial.poses, around, &self.objects, &intrinsics, size, &self.settings, &mut rng)?;
+        let plan = plan(initial.poses, around, &self.objects, &intrinsics, size, &self.settings, &mut rng);
+        let plan = plan.or_bad_input("initial_poses")?;
         let renderings = self.rasteriser.render(&plan.rasteriser_views(self.settings.size_px))?;
-        let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
+        let image = RgbImage::from_raw(width, height, frame.rgb.to_vec());
+        let image = image.ok_or("the frame has too few pixels").or_bad_input("frame")?;
         let crops: Vec<RgbImage> = plan.instances.iter().map(|i| resample(&image, &i.crop)).collect();
         let partners = match inputs.bytes("partners") {
             Some(_) => {
                 let frames = read::<PartnerFrames<'static>>(inputs, "partners")?;
-                crop_partners(&frames, &plan, &self.objects, &self.settings)?
+                crop_partners(&frames, &plan, &self.objects, &self.settings).or_bad_input("partners")?
             }
             None => PartnerCrops::default(),
         };

@@ -111,14 +111,13 @@ pub(crate) fn crop_around(
 
 /// The initial pose and `views - 1` around `centre`, all in front of the camera.
 fn view_poses(initial: &Pose, centre: &Pose, jitter: &Jitter, views: u32, rng: &mut impl Rng) -> Vec<Pose> {
-    let mut poses = vec![*initial];
-    while poses.len() < views as usize {
-        let pose = jitter.sample(centre, rng);
-        if pose.translation.z > 0.5 * initial.translation.z {
-            poses.push(pose);
-        }
-    }
-    poses
+    // From such a centre at least half of the samples are good ones; chance may be against us, but not for ever.
+    const MOST_TRIES: u32 = 64;
+    let in_front = |pose: &Pose| pose.translation.z > 0.5 * initial.translation.z;
+    // A better pose that is so much nearer to the camera is none.
+    let centre = if in_front(centre) { centre } else { initial };
+    let mut jittered = || (0..MOST_TRIES).map(|_| jitter.sample(centre, rng)).find(in_front).unwrap_or(*initial);
+    std::iter::once(*initial).chain((1..views).map(|_| jittered())).collect()
 }
 
 /// The pose of a view as the message carries it.
@@ -134,4 +133,24 @@ pub(crate) fn with_pose(initial: &ObjectPose, view: usize, pose: &Pose) -> Objec
 fn overlaps(crop: &Crop, width: u32, height: u32) -> bool {
     let within = |low: f64, length: u32| low < f64::from(length) - 0.5 && low + crop.side > -0.5;
     within(crop.x0, width) && within(crop.y0, height)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+
+    #[test]
+    fn views_are_found_whatever_the_better_pose_is() {
+        let at = |z| Pose::translation(0.0, 0.0, z);
+        let jitter = Jitter::views(0.2);
+        let mut rng = rand::rngs::StdRng::seed_from_u64(1);
+        for (initial, around) in [(1.0, 1.1), (1.0, 0.4), (1.0, -3.0), (0.01, 0.01), (-0.1, -0.1), (0.0, 0.0)] {
+            let poses = view_poses(&at(initial), &at(around), &jitter, 4, &mut rng);
+            assert_eq!((poses.len(), poses[0]), (4, at(initial)));
+            assert!(poses[1..].iter().all(|pose| *pose == at(initial) || pose.translation.z > 0.5 * initial));
+        }
+        let around = view_poses(&at(1.0), &at(1.1), &jitter, 16, &mut rng);
+        assert!(around[1..].iter().all(|pose| (pose.translation.z - 1.1).abs() < 0.2), "around the better pose");
+    }
 }

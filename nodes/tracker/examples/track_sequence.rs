@@ -281,13 +281,13 @@ fn report(scored: &[Scored], spent_ms: f64, frames: usize) {
 
 fn write(scored: &[Scored], path: &Path) {
     let mut out = String::from(
-        "image,object,visible,error_d,measured,confidence,agreement,lines,overlap,texture,textured,good\n",
+        "image,object,visible,error_d,measured,confidence,agreement,lines,overlap,texture,textured,good,likeness,contrast\n",
     );
     for s in scored {
         let Some(e) = &s.estimate else { continue };
         let v = &e.evidence;
         out += &format!(
-            "{},{},{:.3},{:.4},{},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{}\n",
+            "{},{},{:.3},{:.4},{},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{},{:.3},{:.3}\n",
             s.image,
             s.id,
             s.visible,
@@ -299,7 +299,7 @@ fn write(scored: &[Scored], path: &Path) {
             v.overlap,
             v.texture,
             v.textured,
-            e.good_frames
+            e.good_frames, v.likeness, v.contrast
         );
     }
     std::fs::write(path, out).unwrap();

@@ -4,40 +4,32 @@ use pseudoflow_runtime::{Graph, graph, local, supervisor};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+/// A graph and what is other than its file says.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct GraphArgs {
     /// The graph, a YAML file.
     graph: PathBuf,
-    /// Folder for what the run leaves behind.
-    #[arg(long, default_value = "out/run")]
-    out: PathBuf,
     /// Overrides: a parameter of the graph (`size_px=256`), a node's setting (`player.source=my.mcap`), or `window=8`.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
+    /// Nodes to leave out: an `evaluator` where there is no truth, a `recorder`.
+    #[arg(long, value_name = "NODE", value_delimiter = ',')]
+    without: Vec<String>,
+}
+
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    graph: GraphArgs,
+    /// Folder for what the run leaves behind.
+    #[arg(long, default_value = "out/run")]
+    out: PathBuf,
     /// Run all nodes in this process, one after the other: the same results, slower, and easy to debug. Replay graphs only.
     #[arg(long)]
     in_process: bool,
     /// Goes on under `RMW_IMPLEMENTATION=rmw_zenoh_cpp`, whose nodes do not hear DDS.
     #[arg(long)]
     allow_rmw_mismatch: bool,
-}
-
-#[derive(clap::Args)]
-pub(crate) struct DrawArgs {
-    /// The graph, a YAML file.
-    graph: PathBuf,
-    /// Overrides, as for `run`.
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    overrides: Vec<String>,
-}
-
-#[derive(clap::Args)]
-pub(crate) struct CheckArgs {
-    /// The graph, a YAML file.
-    graph: PathBuf,
-    /// Overrides, as for `run`.
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    overrides: Vec<String>,
 }
 
 #[derive(clap::Args)]
@@ -68,9 +60,29 @@ fn read_stated(path: &Path, overrides: &[String]) -> Result<Graph> {
     Ok(graph)
 }
 
+impl GraphArgs {
+    /// The graph as file and arguments state it.
+    fn stated(&self) -> Result<Graph> {
+        let mut graph = read_stated(&self.graph, &self.overrides)?;
+        for name in &self.without {
+            let names = graph.nodes.keys().cloned().collect::<Vec<_>>().join(", ");
+            let removed = graph.nodes.shift_remove(name);
+            removed
+                .with_context(|| format!("`--without {name}`: the graph has no such node: its nodes are {names}"))?;
+        }
+        Ok(graph)
+    }
+
+    fn read(&self) -> Result<Graph> {
+        let mut graph = self.stated()?;
+        super::inherit::fill_in(&mut graph);
+        Ok(graph)
+    }
+}
+
 /// `ros` is what stood behind `--ros-args` on the command line.
 pub(crate) fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode> {
-    let mut graph = read_stated(&args.graph, &args.overrides)?;
+    let mut graph = args.graph.stated()?;
     ros.apply(&mut graph)?;
     if args.allow_rmw_mismatch {
         allow_rmw_mismatch(&mut graph);
@@ -104,13 +116,13 @@ fn run_in_process(graph: &Graph, out: &Path) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-pub(crate) fn draw(args: &DrawArgs) -> Result<ExitCode> {
-    print!("{}", graph::mermaid(&read_graph(&args.graph, &args.overrides)?, &crate::registry())?);
+pub(crate) fn draw(args: &GraphArgs) -> Result<ExitCode> {
+    print!("{}", graph::mermaid(&args.read()?, &crate::registry())?);
     Ok(ExitCode::SUCCESS)
 }
 
-pub(crate) fn check(args: &CheckArgs) -> Result<ExitCode> {
-    let read = read_graph(&args.graph, &args.overrides)?;
+pub(crate) fn check(args: &GraphArgs) -> Result<ExitCode> {
+    let read = args.read()?;
     match graph::check(&read, &crate::registry()) {
         Ok(()) => {
             println!("{}: {} nodes, no problems", args.graph.display(), read.nodes.len());

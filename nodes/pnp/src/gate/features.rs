@@ -61,11 +61,13 @@ pub enum Feature {
     LnObjectPx,
     /// Contour stage: shift of the object's middle across the view, diameters, at most 0.5.
     Shift,
+    /// Mean probability over the rendered surface that its flow is right, 0..1, by a network that says so (the refiner).
+    Certainty,
 }
 
 impl Feature {
     /// All, in the order of their numbers.
-    pub const ALL: [Self; 26] = [
+    pub const ALL: [Self; 27] = [
         Self::InlierRatio,
         Self::InlierRms,
         Self::PhotometricInitial,
@@ -92,6 +94,7 @@ impl Feature {
         Self::CostPerLine,
         Self::LnObjectPx,
         Self::Shift,
+        Self::Certainty,
     ];
 }
 

@@ -1,8 +1,10 @@
 use crate::ImagingError;
+use image::error::{LimitError, LimitErrorKind};
 use image::{
     Delay, DynamicImage, ExtendedColorType, Frame, ImageEncoder, RgbImage, codecs::gif::GifEncoder,
     codecs::gif::Repeat, codecs::jpeg::JpegEncoder, codecs::png::PngEncoder,
 };
+use std::io::Cursor;
 use std::path::Path;
 
 /// Depth along the optical axis, metres, row-major; 0 where there is none.
@@ -25,12 +27,31 @@ impl DepthImage {
     }
 }
 
+/// A picture with more pixels, or a longer side, is refused before any of it is decoded: a few KB may claim anything.
+const MOST_PIXELS: u64 = 1 << 26;
+const LONGEST_SIDE: u32 = 1 << 15;
+
+/// Decodes within limits.
+fn decode(bytes: &[u8]) -> image::ImageResult<DynamicImage> {
+    let mut limits = image::Limits::default();
+    (limits.max_image_width, limits.max_image_height) = (Some(LONGEST_SIDE), Some(LONGEST_SIDE));
+    limits.max_alloc = Some(8 * MOST_PIXELS);
+    let open = || image::ImageReader::new(Cursor::new(bytes)).with_guessed_format();
+    let (width, height) = open()?.into_dimensions()?;
+    if u64::from(width) * u64::from(height) > MOST_PIXELS {
+        return Err(image::ImageError::Limits(LimitError::from_kind(LimitErrorKind::DimensionError)));
+    }
+    let mut reader = open()?;
+    reader.limits(limits);
+    reader.decode()
+}
+
 /// Decodes a JPEG or PNG. Grey images get three equal channels, alpha is dropped, 16 bits become 8.
 ///
 /// # Errors
-/// [`ImagingError::Image`], with `name` as the path.
+/// [`ImagingError::Image`], with `name` as the path; also when the picture has over 67 million pixels.
 pub fn decode_rgb(bytes: &[u8], name: &str) -> Result<RgbImage, ImagingError> {
-    let decoded = image::load_from_memory(bytes);
+    let decoded = decode(bytes);
     decoded.map(DynamicImage::into_rgb8).map_err(|source| ImagingError::Image { path: name.into(), source })
 }
 
@@ -39,7 +60,7 @@ pub fn decode_rgb(bytes: &[u8], name: &str) -> Result<RgbImage, ImagingError> {
 /// # Errors
 /// [`ImagingError::Image`], with `name` as the path.
 pub fn image_size(bytes: &[u8], name: &str) -> Result<(u32, u32), ImagingError> {
-    let reader = image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format();
+    let reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format();
     let size = reader.map_err(image::ImageError::IoError).and_then(image::ImageReader::into_dimensions);
     size.map_err(|source| ImagingError::Image { path: name.into(), source })
 }
@@ -59,8 +80,7 @@ pub fn load_rgb(path: &Path) -> Result<RgbImage, ImagingError> {
 /// When the file cannot be read or decoded, or is no grey image.
 pub fn load_depth(path: &Path, depth_scale: f64) -> Result<DepthImage, ImagingError> {
     let bytes = std::fs::read(path).map_err(ImagingError::io(path))?;
-    let decoded =
-        image::load_from_memory(&bytes).map_err(|source| ImagingError::Image { path: path.to_owned(), source })?;
+    let decoded = decode(&bytes).map_err(|source| ImagingError::Image { path: path.to_owned(), source })?;
     if decoded.color().has_color() {
         return Err(ImagingError::field(path, "colour type", "a colour image", "depth must be a 16-bit grey PNG"));
     }

@@ -1,5 +1,10 @@
 use crate::{ImagingError, Mesh, MeshParts, files::load_rgb};
-use std::path::Path;
+use std::cell::Cell;
+use std::io::Cursor;
+use std::path::{Component, Path};
+
+/// Material files of one OBJ: each is read again wherever the OBJ names it.
+const MOST_LIBRARIES: usize = 64;
 
 /// Reads a Wavefront OBJ with its MTL (`map_Kd` texture, else the materials' diffuse colours, else vertex colours).
 /// `metres_per_unit` is 1.0 for OBJ files in metres. All shapes of the file become one mesh.
@@ -9,11 +14,16 @@ use std::path::Path;
 /// usable ([`Mesh::new`]).
 pub fn load_obj(path: &Path, metres_per_unit: f64) -> Result<Mesh, ImagingError> {
     let bad = |field: &str, what: String, remedy| ImagingError::field(path, field, what, remedy);
-    std::fs::metadata(path).map_err(ImagingError::io(path))?;
+    let bytes = std::fs::read(path).map_err(ImagingError::io(path))?;
     let options = tobj::LoadOptions { triangulate: true, single_index: true, ..Default::default() };
-    let (models, materials) = tobj::load_obj(path, &options)
-        .map_err(|e| bad("obj", e.to_string(), "the file is damaged or no OBJ: export it again"))?;
-    let materials = materials.map_err(|e| bad("mtllib", e.to_string(), "put the MTL file beside the OBJ"))?;
+    let libraries = Cell::new(0);
+    let (models, materials) = tobj::load_obj_buf(&mut Cursor::new(bytes), &options, |library| {
+        libraries.set(libraries.get() + 1);
+        if libraries.get() > MOST_LIBRARIES { Err(tobj::LoadError::GenericFailure) } else { load_mtl(path, library) }
+    })
+    .map_err(|e| bad("obj", e.to_string(), "the file is damaged or no OBJ: export it again"))?;
+    let materials = materials
+        .map_err(|e| bad("mtllib", e.to_string(), "put an intact MTL file beside the OBJ, at most 64 of them"))?;
     let mut textures: Vec<&str> = materials.iter().filter_map(|m| m.diffuse_texture.as_deref()).collect();
     textures.sort_unstable();
     textures.dedup();
@@ -41,6 +51,28 @@ pub fn load_obj(path: &Path, metres_per_unit: f64) -> Result<Mesh, ImagingError>
         parts.texture = Some(load_rgb(&texture)?);
     }
     Mesh::new(parts, path)
+}
+
+/// Reads a material file that lies in the OBJ's folder or below it.
+fn load_mtl(obj: &Path, library: &Path) -> tobj::MTLLoadResult {
+    let below = library.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    let path = obj.with_file_name(library);
+    if !below || !path.is_file() {
+        return Err(tobj::LoadError::OpenFileFailed);
+    }
+    let text = std::fs::read(path).map_err(|_| tobj::LoadError::ReadError)?;
+    if !colours_are_whole(&text) {
+        return Err(tobj::LoadError::MaterialParseError);
+    }
+    tobj::load_mtl_buf(&mut Cursor::new(text))
+}
+
+/// Whether each colour of a material file has its three numbers: tobj panics where one has fewer.
+fn colours_are_whole(mtl: &[u8]) -> bool {
+    String::from_utf8_lossy(mtl).lines().all(|line| {
+        let mut words = line.split_whitespace();
+        !matches!(words.next(), Some("Ka" | "Kd" | "Ks" | "Ke")) || words.count() >= 3
+    })
 }
 
 fn to_byte(value: f32) -> u8 {

@@ -2,7 +2,7 @@
 //! (`texture_u`, `texture_v`; also `s`, `t` or `u`, `v`) or by face (`list texcoord`), colours by vertex.
 
 use crate::{ImagingError, Mesh, MeshParts, files::load_rgb};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 /// Reads a PLY mesh; `metres_per_unit` is 1e-3 for BOP files (millimetres).
@@ -13,6 +13,7 @@ use std::path::Path;
 pub fn load_ply(path: &Path, metres_per_unit: f64) -> Result<Mesh, ImagingError> {
     let bytes = std::fs::read(path).map_err(ImagingError::io(path))?;
     let header = Header::parse(&bytes, path)?;
+    header.check(bytes.len() - header.body_at, path)?;
     let mut parts = Body::read(&header, &bytes, path)?.into_parts(metres_per_unit, path)?;
     if let Some(name) = &header.texture {
         let texture = path.with_file_name(name);
@@ -53,9 +54,36 @@ impl Kind {
     }
 }
 
+impl Kind {
+    fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+}
+
 enum Property {
     Scalar(String, Kind),
     List(String, Kind, Kind),
+}
+
+impl Property {
+    fn name(&self) -> &str {
+        match self {
+            Self::Scalar(name, _) | Self::List(name, ..) => name,
+        }
+    }
+
+    /// Bytes that it takes in a row at least: in text a digit and what parts it from the next.
+    fn least_bytes(&self, ascii: bool) -> usize {
+        match self {
+            _ if ascii => 2,
+            Self::Scalar(_, kind) | Self::List(_, kind, _) => kind.bytes(),
+        }
+    }
 }
 
 struct Element {
@@ -101,6 +129,32 @@ impl Header {
         }
         header.body_at = at;
         Ok(header)
+    }
+
+    /// What the header says must fit into the body: a count may claim anything, and costs time and memory for each row.
+    fn check(&self, body_bytes: usize, path: &Path) -> Result<(), ImagingError> {
+        let bad = |element: &Element, what: String| {
+            ImagingError::field(path, format!("element {}", element.name), what, "the file is damaged: copy it again")
+        };
+        let mut elements = HashSet::new();
+        for element in &self.elements {
+            let mut names = HashSet::new();
+            if let Some(twice) = element.properties.iter().find(|property| !names.insert(property.name())) {
+                return Err(bad(element, format!("property {} is there twice", twice.name())));
+            }
+            if !elements.insert(&element.name) {
+                return Err(bad(element, "the element is there twice".to_owned()));
+            }
+            let row: usize = element.properties.iter().map(|property| property.least_bytes(self.ascii)).sum();
+            // The last row of a text needs no end of its own.
+            let least = element.count.checked_mul(row.max(1)).map(|bytes| bytes.saturating_sub(1));
+            if least.is_none_or(|bytes| bytes > body_bytes) {
+                let what =
+                    format!("{} entries do not fit into the {body_bytes} bytes behind the header", element.count);
+                return Err(bad(element, what));
+            }
+        }
+        Ok(())
     }
 
     fn line(&mut self, line: &str) -> Result<(), String> {

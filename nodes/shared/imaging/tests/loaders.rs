@@ -108,7 +108,15 @@ fn a_bad_mesh_is_named_with_field_and_remedy() {
     assert_holds(&set_error("solid cube", INFO), &["obj_000004.ply", "PLY"]);
     assert_holds(&set_error(ascii().replace("ascii", "binary_big_endian"), INFO), &["binary_big_endian", "ascii"]);
     let huge = ascii().replace("element face 4", "element face 4000000000");
-    assert_holds(&set_error(huge, INFO), &["element face", "entry 4 of 4000000000"]);
+    assert_holds(&set_error(huge, INFO), &["element face", "4000000000 entries do not fit"]);
+    let cut = ascii().replacen("3 1 2 3\n", "3 1 2", 1);
+    assert_holds(&set_error(cut, INFO), &["element face", "entry 3 of 4"]);
+    let twice = ascii().replacen("element face", "element vertex 1\nproperty float w\nelement face", 1);
+    assert_holds(&set_error(twice, INFO), &["element vertex", "the element is there twice"]);
+    let column_twice = ascii().replacen("property float y", "property float x", 1);
+    assert_holds(&set_error(column_twice, INFO), &["element vertex", "property x is there twice"]);
+    let empty_rows = ascii().replacen("element face", "element nothing 99999999999\nelement face", 1);
+    assert_holds(&set_error(empty_rows, INFO), &["element nothing", "do not fit"]);
 }
 
 #[test]

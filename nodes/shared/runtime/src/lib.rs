@@ -16,6 +16,7 @@ mod plan;
 mod registry;
 mod runner;
 pub mod supervisor;
+pub mod yaml;
 
 pub use bad::{BadInput, OrBadInput, bad_input};
 pub use context::Context;

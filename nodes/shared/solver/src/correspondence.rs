@@ -97,6 +97,16 @@ impl FlowField<'_> {
         self.is_surface(i) && self.sureness(i) >= least
     }
 
+    /// Mean probability over the surface that it is seen and its flow right, 0..1; `None` where the network does not say, or
+    /// nothing is rendered.
+    #[must_use]
+    pub fn mean_certainty(&self) -> Option<f64> {
+        self.certainty?;
+        let surface = (0..self.mask.len()).filter(|&i| self.is_surface(i));
+        let (count, sum) = surface.fold((0_usize, 0_usize), |(n, sum), i| (n + 1, sum + self.sureness(i)));
+        (count > 0).then(|| sum as f64 / (255.0 * count as f64))
+    }
+
     /// What [`Self::sureness`] must reach: [`LEAST_CERTAINTY`], or less where less than [`LEAST_SHARE`] of the surface does.
     fn least_sureness(&self) -> usize {
         let mut counts = [0_usize; 256];
@@ -234,6 +244,8 @@ mod tests {
         let unsure = FlowField { certainty: Some([&doubts, &right]), ..sure };
         let used = PixelBuffer::new().fill(&unsure, 1000).unwrap().pixels.len();
         assert!(used == 21 || used == 22, "{used}");
+        assert!((unsure.mean_certainty().unwrap() - 20.0 / 255.0).abs() < 0.005);
+        assert_eq!(FlowField { certainty: None, ..sure }.mean_certainty(), None);
         let field = sure;
         let short = FlowField { certainty: Some([&seen[1..], &right]), ..field };
         assert!(matches!(PixelBuffer::new().fill(&short, 9), Err(PnpError::Plane { plane: "certainty", .. })));

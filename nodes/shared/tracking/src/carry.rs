@@ -53,10 +53,20 @@ impl Tracker {
     }
 
     /// Whether what was found elsewhere goes before what was predicted. Textures are those of the prediction's own keyframes, so
-    /// only the contours are compared.
-    pub(crate) fn prefers(&self, own: &Trial, other: &Trial, correction: &Correction) -> bool {
+    /// contours are compared, and renderings of the mesh with the picture.
+    pub(crate) fn prefers(&self, own: &Trial, other: &Trial, correction: &Correction, tracked: bool) -> bool {
         let (before, after) = (own.evidence.of_contour(), other.evidence.of_contour());
-        let enough = after >= self.config.min_confidence;
+        let enough = other.evidence.seen() >= self.config.min_seen;
+        let trusted = correction.kind == CorrectionKind::Look { accepted: true } || !tracked;
+        let sure = other.confidence >= self.config.min_confidence;
+        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure) {
+            return true;
+        }
+        let told = own.evidence.contrast.min(other.evidence.contrast) > TELLING;
+        let gain = if told { other.evidence.likeness - own.evidence.likeness } else { 0.0 };
+        if gain.abs() > ALIKE {
+            return gain > 0.0 && enough;
+        }
         match correction.kind {
             CorrectionKind::Look { accepted: true } => enough && after > before - LOOK_BONUS,
             CorrectionKind::Look { accepted: false } => enough && after > before + LOOK_BONUS,
@@ -67,3 +77,6 @@ impl Tracker {
 
 /// How much less sure a contour may be of a pose that a look has found: a look sees what is inside of it.
 const LOOK_BONUS: f64 = 0.2;
+/// Contrast (as in the evidence) from which renderings tell poses apart, and the difference of correlations that does.
+pub(crate) const TELLING: f64 = 0.3;
+pub(crate) const ALIKE: f64 = 0.04;

@@ -45,10 +45,14 @@ pub struct TrackingConfig {
     pub renewal: f32,
     /// An object that has not been seen for so long is lost: its pose is no longer given, seconds.
     pub hold_s: f64,
-    /// Confidence from which a frame's pose is taken as measured, 0..1.
+    /// How much a frame must show of an object for its pose to be measured there, 0..1; else it is held.
+    pub min_seen: f64,
+    /// The same for colours and texture to be learnt from the frame.
+    pub learn_seen: f64,
+    /// Confidence that makes what was found a track, 0..1.
     pub min_confidence: f64,
-    /// Confidence from which colours, texture and velocity are learnt from a frame, 0..1.
-    pub sure_confidence: f64,
+    /// Less confidence for `hold_s` ends a track, 0..1.
+    pub lose_confidence: f64,
     /// What is sure is looked at every so often all the same, seconds.
     pub look_every_s: f64,
     /// What is not sure is looked at again after this, seconds.
@@ -77,13 +81,15 @@ impl Default for TrackingConfig {
             longest_gap_s: 0.5,
             renewal: 0.2,
             hold_s: 0.5,
+            min_seen: 0.5,
+            learn_seen: 0.7,
             min_confidence: 0.5,
-            sure_confidence: 0.7,
+            lose_confidence: 0.1,
             look_every_s: 1.0,
             look_again_s: 0.2,
             look_timeout_s: 1.0,
-            budget_ms: 20.0,
-            look_ms: 60.0,
+            budget_ms: 10.0,
+            look_ms: 30.0,
             looks_at_once: 2,
             covariance_scale: 1.0,
         }
@@ -115,8 +121,10 @@ impl TrackingConfig {
             ("longest_gap_s", self.longest_gap_s, self.longest_gap_s > 0.0, "positive"),
             ("renewal", f64::from(self.renewal), share(f64::from(self.renewal)), "0 to 1"),
             ("hold_s", self.hold_s, self.hold_s >= 0.0, "0 or more"),
+            ("min_seen", self.min_seen, share(self.min_seen), "0 to 1"),
+            ("learn_seen", self.learn_seen, share(self.learn_seen), "0 to 1"),
             ("min_confidence", self.min_confidence, share(self.min_confidence), "0 to 1"),
-            ("sure_confidence", self.sure_confidence, share(self.sure_confidence), "0 to 1"),
+            ("lose_confidence", self.lose_confidence, share(self.lose_confidence), "0 to 1"),
             ("look_every_s", self.look_every_s, self.look_every_s > 0.0, "positive"),
             ("look_again_s", self.look_again_s, self.look_again_s > 0.0, "positive"),
             ("look_timeout_s", self.look_timeout_s, self.look_timeout_s > 0.0, "positive"),

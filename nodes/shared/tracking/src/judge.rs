@@ -1,5 +1,7 @@
 //! How sure a pose is, from what the picture says of it and without any truth.
 
+use crate::texture::Likeness;
+
 /// What a frame's picture says of a pose.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Evidence {
@@ -13,25 +15,46 @@ pub struct Evidence {
     pub texture: f64,
     /// How many texture points should be in view, as `n / (n + 10)`.
     pub textured: f64,
+    /// How alike a rendering of the mesh and the picture are, -1 to 1; not looked at in every frame.
+    pub likeness: f64,
+    /// What that is worth: the contrast of the rendering, grey levels, as `c / (c + 10)`; 0 where it was not looked at.
+    pub contrast: f64,
 }
 
 impl Evidence {
-    /// Probability that the pose is right to a tenth of the diameter. Weights are learnt on rendered sequences.
+    /// Probability that the pose is right to a tenth of the diameter. Weights are learnt on tabletop's train split.
     #[must_use]
     pub fn confidence(&self) -> f64 {
-        let sum = WEIGHTS[0]
-            + WEIGHTS[1] * self.agreement
-            + WEIGHTS[2] * self.lines.min(0.5)
-            + WEIGHTS[3] * self.overlap
-            + WEIGHTS[4] * self.textured * (self.texture - 0.5);
+        let features = [
+            1.0,
+            self.agreement,
+            self.lines.min(0.5),
+            self.overlap,
+            self.textured * (self.texture - 0.5),
+            self.textured,
+            self.contrast * (self.likeness - 0.5),
+            self.contrast,
+        ];
+        let sum: f64 = WEIGHTS.iter().zip(features).map(|(w, f)| w * f).sum();
         1.0 / (1.0 + (-sum).exp())
     }
 
-    /// The same by the contour alone.
+    /// How much the frame shows the object there at all, 0..1, rightly turned or not: from one half on it is followed.
+    #[must_use]
+    pub fn seen(&self) -> f64 {
+        let sum = -5.0 + 16.0 * self.agreement + 4.0 * self.lines.min(0.5) + 6.0 * self.textured * (self.texture - 0.5);
+        if self.lines > 0.0 { 1.0 / (1.0 + (-sum).exp()) } else { 0.0 }
+    }
+
+    /// [`Evidence::confidence`] by the contour alone.
     #[must_use]
     pub fn of_contour(&self) -> f64 {
-        Self { textured: 0.0, ..*self }.confidence()
+        Self { textured: 0.0, contrast: 0.0, ..*self }.confidence()
+    }
+
+    pub(crate) fn looked_at(&mut self, likeness: Option<Likeness>) {
+        (self.likeness, self.contrast) = likeness.map_or((0.0, 0.0), |l| (l.correlation, l.contrast / (l.contrast + 10.0)));
     }
 }
 
-const WEIGHTS: [f64; 5] = [-5.0, 16.0, 4.0, 0.0, 6.0];
+const WEIGHTS: [f64; 8] = [-5.15, 10.2, 3.74, 0.23, 2.12, 0.36, 2.81, -0.99];

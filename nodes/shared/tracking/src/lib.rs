@@ -18,6 +18,8 @@ mod judge;
 mod looks;
 mod measure;
 mod rest;
+#[cfg(test)]
+mod testing;
 mod texture;
 mod track;
 mod tracker;

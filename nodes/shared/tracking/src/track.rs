@@ -2,7 +2,7 @@
 
 use crate::history::{History, Velocity};
 use crate::judge::Evidence;
-use crate::texture::Keyframe;
+use crate::texture::{Keyframe, Likeness};
 use nalgebra::Matrix6;
 use pseudoflow_contour::Colours;
 use pseudoflow_geometry::Pose;
@@ -29,6 +29,10 @@ pub(crate) struct Track {
     pub(crate) known: bool,
     /// Whether the last frame's pose was measured.
     pub(crate) measured: bool,
+    /// Whether colours and texture may be learnt from the last frame.
+    pub(crate) learnt: bool,
+    /// When its confidence was last enough.
+    pub(crate) sure_ns: i64,
     pub(crate) confidence: f64,
     pub(crate) covariance: Matrix6<f64>,
     pub(crate) velocity: Velocity,
@@ -43,6 +47,9 @@ pub(crate) struct Track {
     pub(crate) bad: u32,
     /// Frames in a row in which it moved as the scene at rest does.
     pub(crate) at_rest: u32,
+    /// How alike its rendering and the picture were when they were compared last, and the frame after that.
+    pub(crate) likeness: Option<Likeness>,
+    pub(crate) compared_at: u64,
     /// Where those at rest say that it is, when this frame does not show it surely.
     pub(crate) resting: Option<Pose>,
     /// Whether it went on elsewhere in this frame.
@@ -63,6 +70,8 @@ impl Track {
             pose: Pose::identity(),
             known: false,
             measured: false,
+            learnt: false,
+            sure_ns: 0,
             confidence: 0.0,
             covariance: Matrix6::zeros(),
             velocity: Velocity::default(),
@@ -74,6 +83,8 @@ impl Track {
             good: 0,
             bad: 0,
             at_rest: 0,
+            likeness: None,
+            compared_at: 0,
             resting: None,
             jumped: false,
             asked_ns: None,

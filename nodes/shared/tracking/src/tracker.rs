@@ -4,7 +4,7 @@ use crate::judge::Evidence;
 use crate::looks::{self, Budget, Look};
 use crate::measure::{Eye, Subject, Trial, apart, nearest};
 use crate::rest::{Common, common_motion};
-use crate::texture::{Keyframe, Maker, Pyramid};
+use crate::texture::{Keyframe, Likeness, Maker, Pyramid};
 use crate::track::{Phase, Track};
 use crate::{TrackingConfig, TrackingError};
 use nalgebra::Matrix6;
@@ -189,6 +189,13 @@ impl Tracker {
         let mut trials = self.measure_all(now, predicted, corrections);
         let common = self.common(&trials, predicted, &now.frame);
         self.measure_at_rest(now, &mut trials, common.as_ref());
+        self.compare_one(now, &mut trials, predicted);
+        for (track, trial) in self.tracks.iter().zip(&mut trials) {
+            if let Some(trial) = trial.as_mut().filter(|t| t.evidence.lines > 0.0) {
+                trial.evidence.looked_at(track.likeness);
+                trial.confidence = trial.evidence.confidence();
+            }
+        }
         trials
     }
 
@@ -205,7 +212,7 @@ impl Tracker {
     /// Makes a keyframe of the object that needs one most; one a frame, so that no frame takes long.
     fn remember_texture(&mut self, now: &Now<'_>) {
         let TextureConfig { keyframes, keyframe_deg, .. } = self.config.texture;
-        let newness = |t: &Track| match t.measured && t.confidence >= self.config.sure_confidence && keyframes > 0 {
+        let newness = |t: &Track| match t.learnt && t.confidence >= KEYFRAME_CONFIDENCE && keyframes > 0 {
             true => nearest(&t.keyframes, &t.pose).map_or(f64::INFINITY, |k| apart(k, &t.pose).to_degrees()),
             false => 0.0,
         };
@@ -241,6 +248,7 @@ impl Tracker {
             track.velocity.slow(0.0);
             if gap_s < 0.0 {
                 (track.asked_ns, track.looked_ns, track.seen_ns) = (None, None, frame.stamp_ns);
+                track.sure_ns = frame.stamp_ns;
             }
         }
         Some(gap_s.abs())
@@ -257,7 +265,7 @@ impl Tracker {
         for i in self.by_depth(predicted) {
             let own = self.tracks[i].known.then(|| self.follow(i, now, &predicted[i], &poses));
             let trial = self.correct(i, now, own, (predicted, corrections), &poses);
-            if let Some(trial) = trial.filter(|t| t.confidence >= self.config.min_confidence) {
+            if let Some(trial) = trial.filter(|t| t.evidence.seen() >= self.config.min_seen) {
                 poses[i] = trial.pose;
             }
             trials[i] = trial;
@@ -308,7 +316,7 @@ impl Tracker {
         let mut best = own;
         for correction in corrections.iter().filter(|c| c.object_id == id) {
             let search = correction.kind == CorrectionKind::Found;
-            let sure = best.is_some_and(|b| b.confidence >= self.config.min_confidence);
+            let sure = self.tracks[i].phase == Phase::Tracking && self.tracks[i].measured;
             if search && sure && self.tracks[i].known {
                 continue;
             }
@@ -324,15 +332,69 @@ impl Tracker {
             if self.near(i, &own.pose, &trial.pose) {
                 continue;
             }
+            let (own, trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
             let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
             if search && (trial.confidence > own.confidence || given_up) {
                 best = Some(self.begin(i, now, trial));
-            } else if !search && self.prefers(&own, &trial, correction) {
+            } else if !search && self.prefers(&own, &trial, correction, self.tracks[i].phase == Phase::Tracking) {
                 self.jump(i, &trial);
                 best = Some(trial);
             }
         }
         best
+    }
+
+    /// A trial with what a rendering of it says.
+    fn compared(&mut self, i: usize, now: &Now<'_>, trial: &Trial, poses: &[Pose]) -> Trial {
+        let likeness = self.likeness(i, now, &trial.pose, poses);
+        let mut trial = *trial;
+        trial.evidence.looked_at(likeness);
+        trial.confidence = trial.evidence.confidence();
+        trial
+    }
+
+    fn likeness(&mut self, i: usize, now: &Now<'_>, pose: &Pose, poses: &[Pose]) -> Option<Likeness> {
+        let Self { maker, objects, tracks, .. } = self;
+        let items = items(objects, tracks, i, pose, poses);
+        maker.likeness(now.pyramid, &items, &now.frame.intrinsics)
+    }
+
+    /// Compares a rendering of one object with the picture, each in turn, so that no frame takes long.
+    fn compare_one(&mut self, now: &Now<'_>, trials: &mut [Option<Trial>], predicted: &[Pose]) {
+        let there = |i: &usize| trials[*i].is_some_and(|t| t.evidence.lines > 0.0);
+        let mut due: Vec<usize> = (0..trials.len()).filter(there).collect();
+        due.sort_by_key(|i| self.tracks[*i].compared_at);
+        // After a long gap what was seen before tells little, and there is time.
+        let at_most = if now.gap_s > LONG_FRAMES * self.config.frame_s { due.len() } else { 1 };
+        let poses = poses_of(trials, predicted);
+        for i in due.into_iter().take(at_most) {
+            self.tracks[i].compared_at = now.frame.index + 1;
+            self.tracks[i].likeness = self.likeness(i, now, &poses[i], &poses);
+            if let Some(trial) = self.anchored(i, now, &poses) {
+                trials[i] = Some(trial);
+            }
+        }
+    }
+
+    /// A pose that the mesh itself, rendered where the object is believed to be, is more like than there.
+    fn anchored(&mut self, i: usize, now: &Now<'_>, poses: &[Pose]) -> Option<Trial> {
+        let before = self.tracks[i].likeness.filter(|l| l.contrast > ANCHOR_CONTRAST && l.correlation < ANCHORED)?;
+        let keyframe = {
+            let Self { maker, objects, tracks, .. } = self;
+            maker.rendered(now.pyramid, &items(objects, tracks, i, &poses[i], poses), &now.frame.intrinsics)?
+        };
+        let wide = Now { gap_s: now.gap_s.max(ANCHOR_GAP_S), ..*now };
+        let trial = self.follow_with(i, &wide, &poses[i], poses, &[keyframe]);
+        if trial.evidence.seen() < self.config.min_seen {
+            return None;
+        }
+        let after = self.likeness(i, now, &trial.pose, poses)?;
+        if after.correlation < before.correlation + ANCHOR_GAIN {
+            return None;
+        }
+        self.jump(i, &trial);
+        self.tracks[i].likeness = Some(after);
+        Some(trial)
     }
 
     /// A pose that others have found, in this frame.
@@ -363,6 +425,7 @@ impl Tracker {
         track.velocity.slow(0.0);
         track.colours = Default::default();
         track.keyframes.clear();
+        (track.likeness, track.compared_at) = (None, 0);
         track.jumped = true;
     }
 
@@ -370,7 +433,7 @@ impl Tracker {
     fn common(&self, trials: &[Option<Trial>], predicted: &[Pose], frame: &Frame<'_>) -> Option<(Common, Vec<usize>)> {
         let (last, _) = self.last?;
         let now = poses_of(trials, predicted);
-        let sure = |i: usize| trials[i].is_some_and(|t| t.confidence >= self.config.sure_confidence);
+        let sure = |i: usize| trials[i].is_some_and(|t| t.evidence.seen() >= self.config.learn_seen);
         let bodies = self.bodies(last.saturating_sub(BASELINE - 1), &now, |i| sure(i) && !self.tracks[i].jumped);
         let places: Vec<usize> = (0..bodies.len()).filter(|i| bodies[*i].is_some()).collect();
         let bodies: Vec<_> = bodies.into_iter().flatten().collect();
@@ -387,7 +450,7 @@ impl Tracker {
         let sure: Vec<bool> =
             (0..poses.len()).map(|i| common.members.iter().zip(places).any(|(m, p)| *p == i && *m)).collect();
         for i in 0..self.tracks.len() {
-            let unsure = trials[i].is_some_and(|t| t.confidence < self.config.sure_confidence);
+            let unsure = trials[i].is_some_and(|t| t.evidence.seen() < self.config.learn_seen);
             self.tracks[i].resting = None;
             if !(unsure && self.tracks[i].at_rest >= REST_FRAMES) {
                 continue;
@@ -395,7 +458,7 @@ impl Tracker {
             let Some(there) = self.resting_pose(i, &poses, &sure, &now.frame.intrinsics) else { continue };
             self.tracks[i].resting = Some(there);
             let trial = self.follow(i, now, &there, &poses);
-            if trials[i].is_none_or(|own| trial.confidence >= own.confidence - REST_BONUS) {
+            if trials[i].is_none_or(|own| trial.evidence.seen() >= own.evidence.seen() - REST_BONUS) {
                 trials[i] = Some(trial);
             }
         }
@@ -415,20 +478,30 @@ impl Tracker {
     /// Takes a measured pose over, or holds the object where it is believed to be.
     fn settle(&mut self, i: usize, now: &Now<'_>, predicted: &Pose, trials: &[Option<Trial>]) {
         let Some(trial) = trials[i].filter(|_| self.tracks[i].known) else { return };
-        let believed = trial.confidence >= self.config.min_confidence;
         self.tracks[i].evidence = trial.evidence;
-        match believed {
+        self.tracks[i].confidence = trial.confidence;
+        match trial.evidence.seen() >= self.config.min_seen {
             true => self.take(i, now, &trial, trials),
             false => self.hold(i, now, predicted),
         }
+        let (hold_s, lose_confidence) = (self.config.hold_s, self.config.lose_confidence);
         let track = &mut self.tracks[i];
-        track.confidence = trial.confidence;
+        if track.phase != Phase::Tracking && trial.evidence.lines > 0.0 {
+            // Nobody believes its pose yet, so nothing is lost by a step of little evidence.
+            track.pose = trial.pose;
+        }
+        if trial.confidence >= lose_confidence || !track.measured {
+            track.sure_ns = now.frame.stamp_ns;
+        }
+        if track.phase == Phase::Tracking && (now.frame.stamp_ns - track.sure_ns) as f64 * 1e-9 > hold_s {
+            track.phase = Phase::Lost;
+        }
         track.history.push(Moment { frame: now.frame.index, pose: track.pose, measured: track.measured });
         track.jumped = false;
     }
 
     fn take(&mut self, i: usize, now: &Now<'_>, trial: &Trial, trials: &[Option<Trial>]) {
-        let sure = trial.confidence >= self.config.sure_confidence;
+        let sure = trial.evidence.seen() >= self.config.learn_seen;
         let track = &mut self.tracks[i];
         if track.measured && !track.jumped && track.good > 0 {
             track.velocity.learn(&track.pose, &trial.pose, now.gap_s, self.config.velocity_gain);
@@ -436,7 +509,8 @@ impl Tracker {
         (track.pose, track.measured, track.seen_ns) = (trial.pose, true, now.frame.stamp_ns);
         (track.good, track.bad) = (track.good + 1, 0);
         track.covariance = inverse(&trial.information) * self.config.covariance_scale;
-        if track.phase == Phase::Tracking || track.good >= CONFIRM_FRAMES {
+        track.learnt = sure;
+        if track.good >= CONFIRM_FRAMES && trial.confidence >= self.config.min_confidence {
             track.phase = Phase::Tracking;
         }
         if sure || track.colours.is_empty() {
@@ -456,7 +530,7 @@ impl Tracker {
         let diameter_m = self.objects[self.tracks[i].object].diameter_m;
         let track = &mut self.tracks[i];
         track.pose = track.resting.unwrap_or(*predicted);
-        (track.measured, track.good, track.bad) = (false, 0, track.bad + 1);
+        (track.measured, track.learnt, track.good, track.bad) = (false, false, 0, track.bad + 1);
         track.velocity.slow(SLOWING.powf(gap_s / frame_s));
         track.covariance += spread_per_s(diameter_m) * gap_s;
         let hold_s = if track.resting.is_some() { hold_s * REST_PATIENCE } else { hold_s };
@@ -503,6 +577,17 @@ impl Tracker {
 
 /// A picture whose brightness has a smaller standard deviation shows nothing, grey levels.
 const DARK_SPREAD: f32 = 2.0;
+/// Renderings less like the picture than this are moved to it, if they have so much contrast (grey levels); by at least so much
+/// they must then be more alike.
+const ANCHORED: f64 = 0.8;
+const ANCHOR_CONTRAST: f64 = 5.0;
+const ANCHOR_GAIN: f64 = 0.03;
+/// How far off a rendering may be: as far as things move in this time.
+const ANCHOR_GAP_S: f64 = 0.5;
+/// Confidence from which a frame is a keyframe: a wrong one would hold the object where it is.
+const KEYFRAME_CONFIDENCE: f64 = 0.15;
+/// Gaps of more frames than this are long.
+const LONG_FRAMES: f64 = 3.0;
 /// Frames over which rest is judged, and for how many it must last.
 const BASELINE: u64 = 6;
 const REST_FRAMES: u32 = 5;
@@ -527,6 +612,13 @@ fn inverse(information: &Matrix6<f64>) -> Matrix6<f64> {
 
 fn poses_of(trials: &[Option<Trial>], otherwise: &[Pose]) -> Vec<Pose> {
     trials.iter().zip(otherwise).map(|(t, p)| t.map_or(*p, |t| t.pose)).collect()
+}
+
+/// An object, and the others that may hide it, to be rendered.
+fn items<'a>(objects: &'a [KnownObject], tracks: &[Track], i: usize, pose: &Pose, poses: &[Pose]) -> Vec<Item<'a>> {
+    let item = |j: usize, pose: &Pose| Item { mesh: &objects[tracks[j].object].mesh, camera_from_object: *pose };
+    let others = (0..tracks.len()).filter(|j| *j != i && tracks[*j].known && tracks[*j].phase == Phase::Tracking);
+    std::iter::once(item(i, pose)).chain(others.map(|j| item(j, &poses[j]))).collect()
 }
 
 /// The other objects that may hide one.

@@ -55,6 +55,10 @@ pub(super) struct FileWriter {
     writer: mcap::Writer<BufWriter<File>>,
     path: PathBuf,
     pub(super) span: FileSpan,
+    /// Bytes of messages.
+    pub(super) bytes: u64,
+    /// Chunks that were ended.
+    pub(super) chunks: u64,
 }
 
 impl std::fmt::Debug for FileWriter {
@@ -66,7 +70,7 @@ impl std::fmt::Debug for FileWriter {
 impl FileWriter {
     /// Creates a file that must not exist. Chunks end at [`Self::end_chunk`] or beyond 1 MiB.
     pub(super) fn create(path: &Path, packing: Packing, chunk_bytes: Option<u64>) -> Result<Self, BagError> {
-        let file = File::options().write(true).create_new(true).open(path).map_err(|source| match source.kind() {
+        let file = crate::files::create_private(path).map_err(|source| match source.kind() {
             std::io::ErrorKind::AlreadyExists => BagError::Exists { path: path.to_owned() },
             _ => BagError::Io { path: path.to_owned(), source },
         })?;
@@ -83,7 +87,7 @@ impl FileWriter {
             });
         let writer = options.create(BufWriter::with_capacity(1 << 18, file)).map_err(BagError::write(path))?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        Ok(Self { writer, path: path.to_owned(), span: FileSpan { name, ..FileSpan::default() } })
+        Ok(Self { writer, path: path.to_owned(), span: FileSpan { name, ..FileSpan::default() }, bytes: 0, chunks: 0 })
     }
 
     /// Keeps words of ours; before the first message, so that a cut-off file has them, too.
@@ -109,11 +113,13 @@ impl FileWriter {
     pub(super) fn write(&mut self, header: &MessageHeader, data: &[u8]) -> Result<(), BagError> {
         self.writer.write_to_known_channel(header, data).map_err(BagError::write(&self.path))?;
         self.span.add(header.log_time);
+        self.bytes += data.len() as u64;
         Ok(())
     }
 
     /// Ends the chunk and hands it to the operating system: it outlives this process from here on.
     pub(super) fn end_chunk(&mut self) -> Result<(), BagError> {
+        self.chunks += 1;
         self.writer.flush().map_err(BagError::write(&self.path))
     }
 

@@ -172,7 +172,7 @@ pub(super) fn information_yaml(
                 name: &topic.name,
                 r#type: &topic.type_name,
                 serialization_format: "cdr",
-                offered_qos_profiles: match serde_yaml::from_str(&topic.qos_yaml)? {
+                offered_qos_profiles: match crate::yaml::from_str(&topic.qos_yaml)? {
                     serde_yaml::Value::Null => serde_yaml::Value::Sequence(Vec::new()),
                     profiles => profiles,
                 },
@@ -211,9 +211,8 @@ pub(super) fn information_yaml(
 pub(super) fn write(directory: &Path, information: &str) -> Result<(), BagError> {
     let indented: String = information.lines().map(|line| format!("  {line}\n")).collect();
     let path = directory.join(METADATA_FILE);
-    let beside = directory.join("metadata.yaml.partial");
-    std::fs::write(&beside, format!("rosbag2_bagfile_information:\n{indented}")).map_err(BagError::io(&beside))?;
-    std::fs::rename(&beside, &path).map_err(BagError::io(&path))
+    let text = format!("rosbag2_bagfile_information:\n{indented}");
+    crate::files::write(&path, text.as_bytes()).map_err(BagError::io(&path))
 }
 
 #[derive(Deserialize)]
@@ -237,7 +236,7 @@ pub(super) struct ReadInformation {
 pub(super) fn read(path: &Path) -> Result<ReadInformation, BagError> {
     let metadata = |cause: String| BagError::Metadata { path: path.to_owned(), cause };
     let text = std::fs::read_to_string(path).map_err(BagError::io(path))?;
-    let read: ReadFile = serde_yaml::from_str(&text).map_err(|error| metadata(error.to_string()))?;
+    let read: ReadFile = crate::yaml::from_str(&text).map_err(|error| metadata(error.to_string()))?;
     let information = read.rosbag2_bagfile_information;
     if information.version > VERSION {
         let version = information.version;
@@ -260,6 +259,6 @@ pub(super) fn read(path: &Path) -> Result<ReadInformation, BagError> {
 
 /// The custom data in the record that rosbag2 keeps inside an mcap file.
 pub(super) fn custom_data(serialized_metadata: &str) -> BTreeMap<String, String> {
-    let read: Option<ReadInformation> = serde_yaml::from_str(serialized_metadata).ok();
+    let read: Option<ReadInformation> = crate::yaml::from_str(serialized_metadata).ok();
     read.and_then(|information| information.custom_data).unwrap_or_default()
 }

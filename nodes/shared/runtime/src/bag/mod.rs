@@ -8,6 +8,7 @@
 
 mod error;
 mod file;
+mod lengths;
 mod metadata;
 mod partial;
 mod reader;

@@ -1,3 +1,4 @@
+use super::lengths;
 use super::metadata::{self, METADATA_FILE};
 use super::scan::{ChunkRecords, Damage, FileContent, MAX_RECORD_BYTES, Met, Place, decode_chunk, describe, scan};
 use super::writer::split_number;
@@ -5,7 +6,7 @@ use super::{BagError, scan::SchemaRecord};
 use crate::NodeError;
 use mcap::records::{MessageHeader, Record, op};
 use pseudoflow_msgs::ros::{RosMessage, from_cdr};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -109,6 +110,7 @@ pub struct BagReader {
     path: PathBuf,
     files: Vec<(PathBuf, File)>,
     topics: Vec<TopicInfo>,
+    numbers: HashMap<String, TopicNumber>,
     entries: Vec<Vec<Entry>>,
     cache: VecDeque<Cached>,
     checksums: bool,
@@ -136,6 +138,7 @@ impl BagReader {
             path: path.to_owned(),
             files: Vec::new(),
             topics: Vec::new(),
+            numbers: HashMap::new(),
             entries: Vec::new(),
             cache: VecDeque::new(),
             checksums: true,
@@ -189,7 +192,7 @@ impl BagReader {
     }
 
     fn topic_number(&mut self, name: &str, schema: &SchemaRecord, encoding: &str) -> Result<TopicNumber, BagError> {
-        if let Some(number) = self.topics.iter().position(|topic| topic.name == name) {
+        if let Some(number) = self.numbers.get(name).copied() {
             let known = &self.topics[number].type_name;
             return match *known == schema.name {
                 true => Ok(number),
@@ -202,6 +205,7 @@ impl BagReader {
             };
         }
         let (name, type_name, encoding) = (name.to_owned(), schema.name.clone(), encoding.to_owned());
+        self.numbers.insert(name.clone(), self.topics.len());
         self.topics.push(TopicInfo { name, type_name, encoding, count: 0 });
         self.entries.push(Vec::new());
         Ok(self.topics.len() - 1)
@@ -274,7 +278,11 @@ impl BagReader {
     /// The topics and their types, to name them in an error.
     #[must_use]
     pub fn described(&self) -> String {
-        let topics: Vec<_> = self.topics.iter().map(|topic| format!("{} ({})", topic.name, topic.type_name)).collect();
+        const TOLD: usize = 100;
+        let told = self.topics.iter().take(TOLD).map(|topic| format!("{} ({})", topic.name, topic.type_name));
+        let more = self.topics.len().saturating_sub(TOLD);
+        let more = (more > 0).then(|| format!("{more} more"));
+        let topics: Vec<String> = told.chain(more).collect();
         if topics.is_empty() { "no topics".into() } else { topics.join(", ") }
     }
 
@@ -348,7 +356,7 @@ impl BagReader {
             cause: describe(&error),
         };
         let chunk = match opcode {
-            op::CHUNK => decode_chunk(&content).map_err(damaged)?,
+            op::CHUNK if lengths::fit(opcode, &content) => decode_chunk(&content).map_err(damaged)?,
             op::MESSAGE => ChunkRecords { records: vec![(op::MESSAGE, 0..content.len())], bytes: content },
             _ => return Err(changed),
         };

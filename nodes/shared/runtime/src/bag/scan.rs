@@ -1,6 +1,7 @@
 //! One pass over an MCAP file: checks every checksum and says where each message is, holding one chunk at a time.
 
 use super::file::TopicRecord;
+use super::lengths::{self, Budget};
 use super::{BagError, metadata};
 use mcap::McapError;
 use mcap::records::{Channel, MessageHeader, Record, op};
@@ -95,7 +96,16 @@ pub(super) fn scan(
     let mut file = BufReader::with_capacity((length as usize).clamp(1 << 12, 1 << 20), file);
     check_magic(path, &mut file, length)?;
     content.checksums = true;
-    let mut pass = Pass { path, damage, content, visit, at: mcap::MAGIC.len() as u64, header: false, data_end: false };
+    let mut pass = Pass {
+        path,
+        damage,
+        content,
+        visit,
+        at: mcap::MAGIC.len() as u64,
+        header: false,
+        data_end: false,
+        budget: Budget::of_file(length),
+    };
     let limit = usize::try_from(length).unwrap_or(usize::MAX).min(MAX_RECORD_BYTES);
     let options = LinearReaderOptions::default()
         .with_emit_chunks(true)
@@ -156,6 +166,7 @@ struct Pass<'a> {
     at: u64,
     header: bool,
     data_end: bool,
+    budget: Budget,
 }
 
 impl Pass<'_> {
@@ -187,6 +198,9 @@ impl Pass<'_> {
     }
 
     fn data_record(&mut self, opcode: u8, data: &[u8]) -> Result<(), BagError> {
+        if !lengths::fit(opcode, data) {
+            return Err(self.damaged("a record states a length beyond its end".into()));
+        }
         match opcode {
             op::CHUNK => match self.chunk_records(data) {
                 Ok(records) => self.chunk(&records),
@@ -210,6 +224,7 @@ impl Pass<'_> {
             return Err(self.damaged("a chunk's header is not valid".into()));
         };
         self.content.checksums &= header.uncompressed_crc != 0 || header.uncompressed_size == 0;
+        self.budget.take(data).map_err(|cause| self.damaged(cause))?;
         decode_chunk(data).map_err(|error| self.damaged(describe(&error)))
     }
 
@@ -217,6 +232,9 @@ impl Pass<'_> {
         let mut ordinal = 0;
         for (opcode, range) in &records.records {
             let body = &records.bytes[range.clone()];
+            if !lengths::fit(*opcode, body) {
+                return Err(self.damaged("a record in a chunk states a length beyond its end".into()));
+            }
             let record = mcap::parse_record(*opcode, body).map_err(|error| self.damaged(describe(&error)))?;
             self.parsed(record, Place { record_at: self.at, ordinal })?;
             ordinal += u32::from(*opcode == op::MESSAGE);
@@ -260,13 +278,15 @@ pub(super) struct ChunkRecords {
     pub(super) records: Vec<(u8, std::ops::Range<usize>)>,
 }
 
-/// Unpacks a chunk record's content, its checksum verified before anything is used.
+/// Unpacks a chunk record's content, its checksum verified before anything is used. Its lengths must [fit](lengths::fit).
 pub(super) fn decode_chunk(content: &[u8]) -> Result<ChunkRecords, McapError> {
+    let unpacked = lengths::uncompressed_size(content).and_then(|bytes| usize::try_from(bytes).ok());
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
         .with_skip_end_magic(true)
         .with_prevalidate_chunk_crcs(true)
-        .with_record_length_limit(MAX_RECORD_BYTES);
+        // Nothing within is longer: what claims to be reserves nothing.
+        .with_record_length_limit(unpacked.unwrap_or_default().max(content.len()).min(MAX_RECORD_BYTES));
     let mut reader = LinearReader::new_with_options(options);
     let mut head = [op::CHUNK, 0, 0, 0, 0, 0, 0, 0, 0];
     head[1..].copy_from_slice(&(content.len() as u64).to_le_bytes());

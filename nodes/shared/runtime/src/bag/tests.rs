@@ -256,7 +256,7 @@ fn a_killed_writer_is_taken_up_without_a_frame_lost_or_doubled() {
     std::fs::write(only_file(&bag), cut).unwrap();
 
     let (mut writer, resumed) = BagWriter::resume(&bag, Packing::None).unwrap();
-    assert_eq!((resumed.sequences, resumed.messages, resumed.mended.len()), ((0..4).collect(), 8, 1));
+    assert_eq!((resumed.next_sequence, resumed.messages, resumed.mended.len()), (4, 8, 1));
     let topics = Topics::add(&mut writer);
     (4..7).for_each(|frame| topics.write(&mut writer, frame, 100));
     writer.finish().unwrap();
@@ -275,7 +275,7 @@ fn a_frame_that_did_not_end_is_not_in_the_file() {
     topics.write(&mut writer, 0, 10);
     writer.write(topics.0, 1, 1, &image(1, 10)).unwrap();
     drop(writer); // an error in the middle of the frame
-    assert_eq!(BagWriter::resume(&bag, Packing::None).unwrap().1.sequences, [0].into());
+    assert_eq!(BagWriter::resume(&bag, Packing::None).unwrap().1.next_sequence, 1);
 }
 
 #[test]

@@ -6,14 +6,15 @@ use super::scan::{Damage, FileContent, SchemaRecord, scan};
 use super::{BagError, bag_name};
 use mcap::records::MessageHeader;
 use pseudoflow_msgs::ros::{BagMessage, to_cdr};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A topic of a [`BagWriter`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TopicId(usize);
 
-/// Writes a rosbag2 directory `NAME/NAME_0.mcap` (and `_1` after each interruption) with `metadata.yaml`.
+/// Writes a rosbag2 directory `NAME/NAME_0.mcap` (and `_1` after each interruption or split) with `metadata.yaml`, all of
+/// it for its owner's eyes alone (files 0600, the folder 0700).
 ///
 /// The bytes depend on the messages alone: log and publish times are the stamps given. A frame is safe from this
 /// process's death when [`BagWriter::end_frame`] returns: its messages are one chunk, which is in the file whole or
@@ -48,8 +49,8 @@ struct Pending {
 /// What a bag held when it was taken up again.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Resumed {
-    /// Sequence numbers of all messages: the frames that are safe.
-    pub sequences: BTreeSet<u32>,
+    /// One above the highest sequence number of all messages: the frames below it are safe when they came in order.
+    pub next_sequence: u32,
     /// Messages that are there.
     pub messages: u64,
     /// Files that had to be mended, and why.
@@ -66,7 +67,7 @@ impl BagWriter {
         if directory.exists() {
             return Err(BagError::Exists { path: directory.to_owned() });
         }
-        std::fs::create_dir_all(directory).map_err(BagError::io(directory))?;
+        crate::files::private_folder(directory).map_err(BagError::io(directory))?;
         Self::open(directory, name, packing, 0)
     }
 
@@ -197,6 +198,18 @@ impl BagWriter {
         self.current.end_chunk()
     }
 
+    /// Forgets what was written of a frame that has not ended.
+    pub fn abandon_frame(&mut self) {
+        self.pending.clear();
+    }
+
+    /// Bytes of messages in the current file, and frames: what is held of it in memory grows with its frames until
+    /// [`Self::split`] or the end.
+    #[must_use]
+    pub fn current_file(&self) -> (u64, u64) {
+        (self.current.bytes, self.current.chunks)
+    }
+
     /// Goes on in a new file of the same bag.
     ///
     /// # Errors
@@ -259,9 +272,9 @@ pub(super) fn split_number(path: &Path) -> Option<usize> {
 fn take_up(path: &Path, resumed: &mut Resumed) -> Result<Option<Salvaged>, BagError> {
     let mut kept = Salvaged::of(path);
     let mut content = FileContent::default();
-    let mut sequences = BTreeSet::new();
+    let mut next_sequence = 0;
     let whole = scan(path, Damage::Refuse, &mut content, &mut |met| {
-        sequences.insert(met.header.sequence);
+        next_sequence = next_sequence.max(met.header.sequence.saturating_add(1));
         kept.count(met.channel, met.header.log_time);
         Ok(())
     });
@@ -282,6 +295,6 @@ fn take_up(path: &Path, resumed: &mut Resumed) -> Result<Option<Salvaged>, BagEr
     } else {
         (kept.topics, kept.custom) = (content.topics(), content.custom_data());
     }
-    resumed.sequences.append(&mut sequences);
+    resumed.next_sequence = resumed.next_sequence.max(next_sequence);
     Ok(Some(kept))
 }

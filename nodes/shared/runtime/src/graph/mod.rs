@@ -144,7 +144,7 @@ impl Graph {
     /// As [`Graph::read`].
     pub fn parse(text: &str, file: &Path) -> Result<Self, GraphError> {
         let syntax = |source| GraphError::Syntax { file: file.to_owned(), source };
-        let value: serde_yaml::Value = serde_yaml::from_str(text).map_err(syntax)?;
+        let value: serde_yaml::Value = crate::yaml::from_str(text).map_err(syntax)?;
         let mut graph: Self = serde_path_to_error::deserialize(value).map_err(|error| GraphError::Shape {
             file: file.to_owned(),
             field: error.path().to_string(),

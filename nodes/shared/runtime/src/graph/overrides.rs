@@ -9,7 +9,7 @@ impl Graph {
     /// When there is no such node or the key leads through a value that is no mapping.
     pub fn set(&mut self, key: &str, value: &str) -> Result<(), GraphError> {
         let error = |cause: String| GraphError::Override { key: key.to_owned(), value: value.to_owned(), cause };
-        let parsed: Value = serde_yaml::from_str(value).map_err(|e| error(format!("the value is no YAML: {e}")))?;
+        let parsed: Value = crate::yaml::from_str(value).map_err(|e| error(format!("the value is no YAML: {e}")))?;
         match key.split_once('.') {
             None => self.set_top(key, parsed).map_err(error),
             Some((node, path)) => self.set_config(node, path, parsed).map_err(error),

@@ -1,7 +1,7 @@
-use super::pyramid::Pyramid;
+use super::pyramid::{Level, Pyramid};
 use nalgebra::{Matrix2, Matrix2x3, Point3, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_imaging::raster::{Background, Item, Scene, Scratch};
+use pseudoflow_imaging::raster::{Background, Headlight, Item, Scene, Scratch, Shader};
 use std::sync::Arc;
 
 /// A point of the object's surface with a patch of the keyframe around it.
@@ -23,14 +23,24 @@ pub(crate) struct Keyframe {
     pub(crate) pyramid: Arc<Pyramid>,
     pub(crate) pose: Pose,
     pub(crate) anchors: Vec<Anchor>,
+    /// Patches less alike than this are something else, -1 to 1.
+    pub(crate) alike: f32,
 }
+
+/// How alike patches of two pictures of one camera are, and of a rendering and a picture.
+const ALIKE: f32 = 0.8;
+const ALIKE_RENDERED: f32 = 0.6;
 
 /// Makes keyframes. Holds its working memory.
 #[derive(Debug, Default)]
 pub(crate) struct Maker {
-    scratch: Scratch,
+    pub(super) scratch: Scratch,
 }
 
+/// Brightness behind what is rendered, grey levels.
+const BEHIND: f32 = 110.0;
+/// Points of a keyframe, at least.
+const FEWEST: usize = 6;
 /// Points of a keyframe, at most.
 const MOST: usize = 60;
 /// Corners weaker than this are noise: root of the smaller eigenvalue of the mean gradient product, grey levels a pixel.
@@ -61,7 +71,7 @@ fn slope(point: &Point3<f64>, along: &[Vector3<f64>; 2], camera: &Intrinsics) ->
 impl Maker {
     /// A keyframe of the first of `items`, which the others may hide. `None` when too little texture is seen.
     pub(crate) fn make(&mut self, pyramid: &Arc<Pyramid>, items: &[Item<'_>], camera: &Intrinsics) -> Option<Keyframe> {
-        let window = Window::around(&items[0], camera, pyramid)?;
+        let window = Window::around(&items[0], camera, &pyramid.levels[0])?;
         let scene = Scene {
             items,
             intrinsics: Intrinsics { cx: camera.cx - window.x0 as f64, cy: camera.cy - window.y0 as f64, ..*camera },
@@ -70,21 +80,49 @@ impl Maker {
             background: Background::Colour([0; 3]),
         };
         self.scratch.cover(&scene);
-        let corners = window.corners(pyramid, self.scratch.owners());
-        let object_from_camera = items[0].camera_from_object.inverse();
+        let anchors = self.anchors(&scene, &window, pyramid);
+        let (pose, pyramid) = (items[0].camera_from_object, Arc::clone(pyramid));
+        (anchors.len() >= FEWEST).then(|| Keyframe { pyramid, pose, anchors, alike: ALIKE })
+    }
+
+    /// The mesh itself as a keyframe: the first of `items` rendered at its pose. It binds the object to what is known of it, where
+    /// keyframes bind it to what was believed.
+    pub(crate) fn rendered(&mut self, pyramid: &Pyramid, items: &[Item<'_>], camera: &Intrinsics) -> Option<Keyframe> {
+        let window = Window::around(&items[0], camera, &pyramid.levels[0])?;
+        let scene = Scene {
+            items,
+            intrinsics: Intrinsics { cx: camera.cx - window.x0 as f64, cy: camera.cy - window.y0 as f64, ..*camera },
+            width: window.width as u32,
+            height: window.height as u32,
+            background: Background::Colour([0; 3]),
+        };
+        self.scratch.cover(&scene);
+        let (width, height) = (window.width, window.height);
+        let mut grey = vec![BEHIND; width * height];
+        for (i, _) in self.scratch.owners().iter().enumerate().filter(|(_, owner)| **owner == 1) {
+            let surface = self.scratch.surface_at(&scene, i, [(i % width) as f64, (i / width) as f64], 1.0);
+            let [r, g, b] = Headlight::default().shade(&surface);
+            grey[i] = 255.0 * (0.299 * r + 0.587 * g + 0.114 * b);
+        }
+        let pyramid = Arc::new(Pyramid::of_level(Level { width, height, grey }));
+        let own = Window { x0: 0, y0: 0, width, height };
+        let anchors = self.anchors(&scene, &own, &pyramid);
+        let pose = items[0].camera_from_object;
+        (anchors.len() >= FEWEST).then(|| Keyframe { pyramid, pose, anchors, alike: ALIKE_RENDERED })
+    }
+
+    /// Corners of a window's picture on the scene that was covered last.
+    fn anchors(&self, scene: &Scene<'_>, window: &Window, pyramid: &Pyramid) -> Vec<Anchor> {
+        let pose = scene.items[0].camera_from_object;
+        let object_from_camera = pose.inverse();
         let anchor = |(x, y): (usize, usize)| {
-            let surface = self.scratch.surface_at(&scene, y * window.width + x, [x as f64, y as f64], 1.0);
+            let surface = self.scratch.surface_at(scene, y * window.width + x, [x as f64, y as f64], 1.0);
             let position = Point3::from(surface.point_in_object.map(f64::from));
             let normal = object_from_camera.rotation * Vector3::from(surface.normal_in_camera.map(f64::from));
             let place = [(x + window.x0) as f32, (y + window.y0) as f32];
-            Self::anchor(position, &normal, place, &items[0].camera_from_object, camera)
+            Self::anchor(position, &normal, place, &pose, &scene.intrinsics)
         };
-        let anchors: Vec<Anchor> = corners.into_iter().filter_map(anchor).collect();
-        (anchors.len() >= 6).then(|| Keyframe {
-            pyramid: Arc::clone(pyramid),
-            pose: items[0].camera_from_object,
-            anchors,
-        })
+        window.corners(pyramid, self.scratch.owners()).into_iter().filter_map(anchor).collect()
     }
 
     fn anchor(
@@ -105,15 +143,15 @@ impl Maker {
 }
 
 /// The part of the image that shows an object.
-struct Window {
-    x0: usize,
-    y0: usize,
-    width: usize,
-    height: usize,
+pub(super) struct Window {
+    pub(super) x0: usize,
+    pub(super) y0: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
 }
 
 impl Window {
-    fn around(item: &Item<'_>, camera: &Intrinsics, pyramid: &Pyramid) -> Option<Self> {
+    pub(super) fn around(item: &Item<'_>, camera: &Intrinsics, level: &Level) -> Option<Self> {
         let (low, high) = item.mesh.bounds_m();
         let (mut least, mut most) = ([f64::MAX; 2], [f64::MIN; 2]);
         for i in 0..8 {
@@ -124,7 +162,6 @@ impl Window {
                 (least[k], most[k]) = (least[k].min(at[k]), most[k].max(at[k]));
             }
         }
-        let level = &pyramid.levels[0];
         let within = |v: f64, size: usize| v.clamp(0.0, size as f64) as usize;
         let (x0, y0) = (within(least[0], level.width), within(least[1], level.height));
         let (x1, y1) = (within(most[0] + 1.0, level.width), within(most[1] + 1.0, level.height));

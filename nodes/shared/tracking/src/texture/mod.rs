@@ -4,10 +4,12 @@
 //! (Baker and Matthews 2004; Bouguet 2001), with gain and offset of its brightness free.
 
 mod keyframe;
+mod likeness;
 mod patch;
 mod pyramid;
 mod term;
 
 pub(crate) use keyframe::{Keyframe, Maker};
+pub(crate) use likeness::Likeness;
 pub(crate) use pyramid::Pyramid;
 pub(crate) use term::{TextureTerm, matches};

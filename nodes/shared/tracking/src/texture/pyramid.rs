@@ -22,7 +22,12 @@ impl Pyramid {
         let (width, height) = (rgb.width() as usize, rgb.height() as usize);
         let grey = rgb.as_raw().as_chunks::<3>().0.iter();
         let grey = grey.map(|[r, g, b]| 0.299 * f32::from(*r) + 0.587 * f32::from(*g) + 0.114 * f32::from(*b));
-        let mut levels = vec![Level { width, height, grey: grey.collect() }];
+        Self::of_level(Level { width, height, grey: grey.collect() })
+    }
+
+    /// Of brightness that is there already.
+    pub(crate) fn of_level(level: Level) -> Self {
+        let mut levels = vec![level];
         for _ in 1..LEVELS {
             let next = levels[levels.len() - 1].halved();
             levels.push(next);

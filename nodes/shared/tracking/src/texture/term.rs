@@ -14,9 +14,6 @@ pub(crate) struct Match {
     pub(crate) at: Option<[f64; 2]>,
 }
 
-/// Patches less alike than this are something else.
-const ALIKE: f32 = 0.8;
-
 /// Looks for the points of a keyframe that a pose should show; those that it turns away from the camera are left out.
 pub(crate) fn matches(
     keyframe: &Keyframe,
@@ -35,7 +32,7 @@ pub(crate) fn matches(
         let key_from_here = anchor.key_from_here(pose, camera)?;
         let expected = [expected.x as f32, expected.y as f32];
         let found = patch::find(&keyframe.pyramid, anchor.place, here, expected, &key_from_here, levels, most_px);
-        let at = found.filter(|f| f.likeness >= ALIKE).map(|f| f.at.map(f64::from));
+        let at = found.filter(|f| f.likeness >= keyframe.alike).map(|f| f.at.map(f64::from));
         Some(Match { position: anchor.position, at })
     };
     keyframe.anchors.iter().filter_map(of).collect()
