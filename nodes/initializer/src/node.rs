@@ -43,6 +43,9 @@ pub struct InitializerConfig {
     /// How often wanted objects (`wanted`) are searched for.
     #[serde(default)]
     pub search: SearchConfig,
+    /// Live: begins only when all views are there (see `compare.cache`), instead of making them beside the first frames.
+    #[serde(default)]
+    pub prepare_first: bool,
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
@@ -57,7 +60,17 @@ impl InitializerConfig {
     #[must_use]
     pub fn new(model: PathBuf, objects: PathBuf) -> Self {
         let (detect, search, engine) = (DetectConfig::default(), SearchConfig::default(), EngineConfig::default());
-        Self { model, objects, network: default_network(), detect, compare: None, track: None, search, engine }
+        Self {
+            model,
+            objects,
+            network: default_network(),
+            detect,
+            compare: None,
+            track: None,
+            search,
+            prepare_first: false,
+            engine,
+        }
     }
 }
 
@@ -122,8 +135,10 @@ impl InitializerNode {
         }
         let wanted = read::<Wanted<'static>>(inputs, "wanted")?.object_ids;
         let preparing = self.finder.preparing();
-        let mut due = self.patience.due(wanted, key.stamp_ns);
-        due.retain(|id| preparing.iter().all(|p| p.object_id != *id));
+        self.patience.forget_all_but(wanted);
+        let known = |id: &u32| preparing.iter().all(|p| p.object_id != *id);
+        let ready: Vec<u32> = wanted.iter().copied().filter(known).collect();
+        let due = self.patience.due(&ready, key.stamp_ns);
         if due.is_empty() {
             return Ok((Vec::new(), false));
         }
@@ -296,7 +311,7 @@ impl Node for InitializerNode {
             return Err(InitializerError::Objects { path: config.model, id: *id, known }.into());
         }
         // In replay everything is there before the first frame; a camera's frames pass meanwhile, and say what is prepared.
-        let open = if context.replay { Comparer::open } else { Comparer::open_unprepared };
+        let open = if context.replay || config.prepare_first { Comparer::open } else { Comparer::open_unprepared };
         let comparer = config.compare.as_ref().map(|compare| open(compare, &objects, &config.engine)).transpose()?;
         log::info!("{} finds {} objects with {}", network.describe(), known.len(), config.model.display());
         // The first frame finds memory and kernels ready.

@@ -13,11 +13,13 @@ pub struct SearchConfig {
     pub wait_s: f64,
     /// They double with every search that does not find it, up to this.
     pub most_wait_s: f64,
+    /// Objects that are searched for in one frame, those that have waited longest: what is found comes the sooner, the fewer.
+    pub objects: usize,
 }
 
 impl Default for SearchConfig {
     fn default() -> Self {
-        Self { wait_s: 0.25, most_wait_s: 8.0 }
+        Self { wait_s: 0.25, most_wait_s: 8.0, objects: 1 }
     }
 }
 
@@ -27,13 +29,16 @@ impl SearchConfig {
     /// # Errors
     /// Names the first setting out of range.
     pub fn check(&self) -> Result<(), InitializerError> {
-        let Self { wait_s, most_wait_s } = *self;
+        let Self { wait_s, most_wait_s, objects } = *self;
         if !(0.0..=3600.0).contains(&wait_s) {
             return Err(InitializerError::Setting { field: "search.wait_s", got: wait_s, wanted: "0 to 3600" });
         }
         if !(wait_s..=3600.0).contains(&most_wait_s) {
             let wanted = "from `wait_s` to 3600";
             return Err(InitializerError::Setting { field: "search.most_wait_s", got: most_wait_s, wanted });
+        }
+        if objects == 0 {
+            return Err(InitializerError::Setting { field: "search.objects", got: 0.0, wanted: "at least 1" });
         }
         Ok(())
     }
@@ -59,10 +64,17 @@ impl Patience {
         Self { config, searched: BTreeMap::new() }
     }
 
-    /// Of the wanted objects those whose turn it is. What is not wanted any more begins anew when it is wanted again.
-    pub(crate) fn due(&mut self, wanted: &[u32], stamp_ns: i64) -> Vec<u32> {
+    /// What is not wanted any more begins anew when it is wanted again.
+    pub(crate) fn forget_all_but(&mut self, wanted: &[u32]) {
         self.searched.retain(|id, _| wanted.contains(id));
-        wanted.iter().copied().filter(|id| self.is_due(*id, stamp_ns)).collect()
+    }
+
+    /// Of these objects those whose turn it is: those that have waited longest.
+    pub(crate) fn due(&self, candidates: &[u32], stamp_ns: i64) -> Vec<u32> {
+        let mut due: Vec<u32> = candidates.iter().copied().filter(|id| self.is_due(*id, stamp_ns)).collect();
+        due.sort_by_key(|id| self.searched.get(id).map(|searched| searched.stamp_ns));
+        due.truncate(self.config.objects);
+        due
     }
 
     fn is_due(&self, id: u32, stamp_ns: i64) -> bool {
@@ -102,7 +114,7 @@ mod tests {
 
     #[test]
     fn what_is_absent_is_searched_for_less_and_less() {
-        let mut patience = Patience::new(SearchConfig { wait_s: 0.5, most_wait_s: 4.0 });
+        let mut patience = Patience::new(SearchConfig { wait_s: 0.5, most_wait_s: 4.0, objects: 1 });
         let at: Vec<f64> = searches(&mut patience, 20).into_iter().map(|ns| ns as f64 * 1e-9).collect();
         assert_eq!(at, [0.0, 0.5, 1.5, 3.5, 7.5, 11.5, 15.5, 19.5]);
     }
@@ -113,7 +125,7 @@ mod tests {
         searches(&mut patience, 10);
         assert!(patience.due(&[3], 10 * S).is_empty());
         assert_eq!(patience.due(&[3, 4], 10 * S), [4]);
-        assert!(patience.due(&[], 10 * S).is_empty());
+        patience.forget_all_but(&[4]);
         assert_eq!(patience.due(&[3], 10 * S), [3]);
         patience.searched(3, 10 * S, true);
         assert!(patience.due(&[3], 10 * S + S / 10).is_empty());
@@ -122,8 +134,17 @@ mod tests {
     }
 
     #[test]
+    fn those_that_have_waited_longest_come_first() {
+        let mut patience = Patience::new(SearchConfig { objects: 2, ..SearchConfig::default() });
+        patience.searched(1, S, false);
+        patience.searched(2, 0, true);
+        assert_eq!(patience.due(&[1, 2, 3], 3 * S), [3, 2]);
+    }
+
+    #[test]
     fn settings_out_of_range_are_named() {
-        let refused = |wait_s, most_wait_s| SearchConfig { wait_s, most_wait_s }.check().unwrap_err().to_string();
+        let refused =
+            |wait_s, most_wait_s| SearchConfig { wait_s, most_wait_s, objects: 1 }.check().unwrap_err().to_string();
         assert!(refused(-1.0, 3.0).contains("search.wait_s"));
         assert!(refused(2.0, 1.0).contains("search.most_wait_s"));
         SearchConfig::default().check().unwrap();
