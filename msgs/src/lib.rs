@@ -15,6 +15,7 @@
 //! | [`PartnerFrames`] | player (training) | renderer |
 //! | [`PseudoLabels`] | consistency | trainer |
 //! | [`NetworkWeights`] | trainer | flow |
+//! | [`Rectangles`] | player, bridge (a detector's) | initializer |
 //! | [`Pictures`] | consistency | recorder |
 //!
 //! At the edges ([`ros`]) the same content is ROS 2 messages: in bags and over DDS.
@@ -30,7 +31,9 @@ mod object_statuses;
 mod partner_frames;
 mod pictures;
 mod pseudo_labels;
+mod rectangles;
 mod reference_views;
+mod wanted;
 
 pub use camera_frame::{CameraFrame, CameraFrameHeader, CameraFrameMut, FRAME_ID_BYTES};
 pub use flow_fields::{FlowFields, FlowFieldsHeader, FlowFieldsMut};
@@ -41,7 +44,9 @@ pub use object_statuses::{ObjectStatus, ObjectStatuses, ObjectStatusesHeader, Tr
 pub use partner_frames::{PartnerFrame, PartnerFrames, PartnerFramesHeader};
 pub use pictures::Pictures;
 pub use pseudo_labels::{InstanceLabels, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut};
+pub use rectangles::{Rectangle, Rectangles, RectanglesHeader};
 pub use reference_views::{Partner, ReferenceView, ReferenceViews, ReferenceViewsHeader, ReferenceViewsMut};
+pub use wanted::{Wanted, WantedHeader};
 
 use bytemuck::{Pod, Zeroable};
 

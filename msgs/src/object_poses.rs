@@ -10,9 +10,9 @@ pub enum PoseSource {
     Given = 0,
     /// The initializer node.
     Initializer = 1,
-    /// The pnp node.
+    /// Measured in this frame: by pnp, or by the tracker.
     Refined = 2,
-    /// The initializer's prediction from the frames before.
+    /// Predicted from the frames before, by the initializer or the tracker: this frame does not show it.
     Tracked = 3,
 }
 
@@ -122,8 +122,8 @@ pub struct ObjectPosesHeader {
 
 /// The poses of all known objects in one frame.
 ///
-/// Producers: player, initializer (`initial_poses`), pnp (`poses`). Consumers: renderer, bridge, recorder, evaluator,
-/// initializer (the poses of the frames before).
+/// Producers: player, initializer (`initial_poses`), pnp, tracker (`poses`; `requests`: the looks that it asks for). Consumers:
+/// renderer, bridge, recorder, evaluator, initializer (the poses of the frames before), tracker (what others have found).
 #[derive(Debug, Clone, Copy)]
 pub struct ObjectPoses<'a> {
     /// Count and names.

@@ -36,6 +36,12 @@ pub enum TrackReason {
     Duplicate = 7,
     /// It is looked for where it was left among the other objects, to be confirmed by the next frames.
     Remembered = 8,
+    /// The frame does not show it: it is held where it is believed to be.
+    Hidden = 9,
+    /// The frame was not used: it is older than one before it.
+    OutOfOrder = 10,
+    /// The frame was not used: it is black, or of one colour.
+    Dark = 11,
 }
 
 impl TrackPhase {
@@ -57,7 +63,7 @@ impl TrackPhase {
 }
 
 impl TrackReason {
-    const ALL: [Self; 9] = [
+    const ALL: [Self; 12] = [
         Self::NotFound,
         Self::Detected,
         Self::Confirmed,
@@ -67,6 +73,9 @@ impl TrackReason {
         Self::LeftImage,
         Self::Duplicate,
         Self::Remembered,
+        Self::Hidden,
+        Self::OutOfOrder,
+        Self::Dark,
     ];
 
     /// The reason of a stored number.
@@ -88,6 +97,9 @@ impl TrackReason {
             Self::LeftImage => "left the image",
             Self::Duplicate => "another track is at the same place",
             Self::Remembered => "looked for where it was left, not confirmed yet",
+            Self::Hidden => "not seen at the moment, held where it is believed to be",
+            Self::OutOfOrder => "the frame is older than one before it",
+            Self::Dark => "the frame is black or of one colour",
         }
     }
 }
@@ -108,7 +120,7 @@ pub struct ObjectStatus {
     pub good_frames: u32,
     /// Bad frames in a row.
     pub bad_frames: u32,
-    /// Inlier ratio of its last pose, 0..1; of a detection its score.
+    /// Confidence of its last pose, 0..1; of a detection its score.
     pub score: f64,
 }
 
@@ -124,7 +136,7 @@ pub struct ObjectStatusesHeader {
 
 /// The tracks of all known objects after a frame's predictions were made.
 ///
-/// Producer: initializer. Consumers: bridge, recorder.
+/// Producers: initializer, tracker. Consumers: bridge, recorder.
 #[derive(Debug, Clone, Copy)]
 pub struct ObjectStatuses<'a> {
     /// Count.

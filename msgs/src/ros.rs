@@ -6,36 +6,47 @@
 //! | type | file |
 //! |---|---|
 //! | `sensor_msgs/Image`, `CompressedImage`, `CameraInfo` | `image`, `compressed_image`, `camera_info` |
-//! | `geometry_msgs/PoseStamped` and its parts | `pose`, `pose_stamped` |
+//! | `geometry_msgs/PoseStamped`, `PoseWithCovarianceStamped` and their parts | `pose`, `pose_stamped` |
 //! | `vision_msgs/Detection3DArray` | `detection3d_array` |
 //! | `tf2_msgs/TFMessage` | `tf_message` |
 //! | `diagnostic_msgs/DiagnosticArray` | `diagnostics` |
+//! | `vision_msgs/VisionInfo`, `LabelInfo`, `Detection2DArray`, `std_msgs/String` | `vision` |
 
 mod camera_info;
 mod cdr;
 mod compressed_image;
 mod detection3d_array;
 mod diagnostics;
+mod follow;
 mod header;
 mod image;
+mod naming;
 mod object_poses;
 mod pose;
 mod pose_stamped;
 mod schema;
 mod tf_message;
+mod vision;
 
-pub use camera_info::{CameraInfo, IntrinsicsError, RegionOfInterest};
+pub use camera_info::{CameraInfo, RegionOfInterest};
 pub use cdr::{CdrError, from_cdr, to_cdr};
 pub use compressed_image::CompressedImage;
 pub use detection3d_array::{BoundingBox3D, Detection3D, Detection3DArray, ObjectHypothesis, ObjectHypothesisWithPose};
 pub use diagnostics::{DiagnosticArray, DiagnosticStatus, KeyValue, diagnostics};
+pub use follow::{Followed, Follower};
 pub use header::{Header, Time};
-pub use image::{Image, ImageError};
-pub use object_poses::{DetectionError, Naming, best_pose, detections, object_poses, pose_stamped, transforms};
+pub use image::Image;
+pub use naming::{Naming, NamingError, ObjectBox};
+pub use object_poses::{
+    DetectionError, detections, object_poses, pose_stamped, pose_with_covariance_stamped, standing, transforms,
+};
 pub use pose::{Point, Pose, PoseWithCovariance, Quaternion, Vector3};
-pub use pose_stamped::PoseStamped;
+pub use pose_stamped::{PoseStamped, PoseWithCovarianceStamped};
 pub use schema::BagMessage;
 pub use tf_message::{TFMessage, Transform, TransformStamped};
+pub use vision::{
+    BoundingBox2D, Detection2D, Detection2DArray, LabelInfo, Point2D, Pose2D, StringMessage, VisionClass, VisionInfo,
+};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;

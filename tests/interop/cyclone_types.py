@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float64, int32, sequence, uint8, uint32
+from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint16, uint32
 
 
 def ros(package, name):
@@ -64,6 +64,38 @@ class PoseStamped(IdlStruct, typename=ros("geometry_msgs", "PoseStamped")):
 class PoseWithCovariance(IdlStruct, typename=ros("geometry_msgs", "PoseWithCovariance")):
     pose: Pose
     covariance: array[float64, 36]
+
+
+@dataclass
+class PoseWithCovarianceStamped(IdlStruct, typename=ros("geometry_msgs", "PoseWithCovarianceStamped")):
+    header: Header
+    pose: PoseWithCovariance
+
+
+@dataclass
+class VisionInfo(IdlStruct, typename=ros("vision_msgs", "VisionInfo")):
+    header: Header
+    method: str
+    database_location: str
+    database_version: int32
+
+
+@dataclass
+class VisionClass(IdlStruct, typename=ros("vision_msgs", "VisionClass")):
+    class_id: uint16
+    class_name: str
+
+
+@dataclass
+class LabelInfo(IdlStruct, typename=ros("vision_msgs", "LabelInfo")):
+    header: Header
+    class_map: sequence[VisionClass]
+    threshold: float32
+
+
+@dataclass
+class String(IdlStruct, typename=ros("std_msgs", "String")):
+    data: str
 
 
 @dataclass

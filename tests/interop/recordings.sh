@@ -17,7 +17,7 @@ trap 'rm -rf "$folder"' EXIT
 
 cd "$interop"
 "$python" read_with_rosbags.py "$folder/run" /camera/image/compressed=20 /camera/camera_info=20 /overlay/compressed=20 \
-    /initial_poses=20 /object_poses=20 /object_pose=20 /tf=20
+    /initial_poses=20 /object_poses=20 /object_poses/refused=20 /object_pose=20 /objects/cracker_box/pose=20 /tf=20
 "$python" read_with_rosbags.py "$folder/run/run_1.mcap" /camera/image/compressed=10
 "$python" read_with_rosbags.py "$root/bags/tabletop_demo" /camera/image/compressed=15 \
     /camera/camera_info=15 /initial_poses=15

@@ -1,4 +1,4 @@
-//! The rules of the house over `cargo metadata`: who may depend on whom (README, "The house").
+//! The rules of the house over `cargo metadata`: who may depend on whom (docs/architecture.md, "The house").
 
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,10 +23,11 @@ fn members() -> BTreeMap<String, BTreeSet<String>> {
     packages.iter().map(|package| (name(package), of(package))).collect()
 }
 
-const NODES: [&str; 10] = [
+const NODES: [&str; 11] = [
     "pseudoflow-player",
     "pseudoflow-bridge",
     "pseudoflow-initializer",
+    "pseudoflow-tracker",
     "pseudoflow-renderer",
     "pseudoflow-flow",
     "pseudoflow-consistency",
@@ -35,7 +36,7 @@ const NODES: [&str; 10] = [
     "pseudoflow-evaluator",
     "pseudoflow-recorder",
 ];
-const SHARED: [&str; 9] = [
+const SHARED: [&str; 11] = [
     "pseudoflow-msgs",
     "pseudoflow-geometry",
     "pseudoflow-imaging",
@@ -43,7 +44,9 @@ const SHARED: [&str; 9] = [
     "pseudoflow-inference",
     "pseudoflow-contour",
     "pseudoflow-solver",
+    "pseudoflow-tracking",
     "pseudoflow-metrics",
+    "pseudoflow-edge",
     "pseudoflow-runtime",
 ];
 

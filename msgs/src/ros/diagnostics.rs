@@ -1,4 +1,4 @@
-use super::Header;
+use super::{Header, Naming};
 use crate::{ObjectStatus, TrackPhase, TrackReason};
 use serde::{Deserialize, Serialize};
 
@@ -39,14 +39,14 @@ super::ros_message!(DiagnosticArray, "diagnostic_msgs", "DiagnosticArray");
 
 /// The tracks of a frame as diagnostics: fine while tracking, a warning otherwise.
 #[must_use]
-pub fn diagnostics(header: &Header, statuses: &[ObjectStatus]) -> DiagnosticArray {
+pub fn diagnostics(header: &Header, statuses: &[ObjectStatus], naming: &Naming) -> DiagnosticArray {
     let status = |s: &ObjectStatus| {
         let phase = TrackPhase::from_u32(s.phase).unwrap_or(TrackPhase::Searching);
         let reason = TrackReason::from_u32(s.reason).unwrap_or(TrackReason::NotFound);
         let value = |key: &str, value: String| KeyValue { key: key.into(), value };
         DiagnosticStatus {
             level: u8::from(phase != TrackPhase::Tracking),
-            name: format!("object_{}", s.object_id),
+            name: naming.class_id(s.object_id),
             message: format!("{}: {}", phase.name(), reason.text()),
             hardware_id: s.instance.to_string(),
             values: vec![
@@ -78,9 +78,9 @@ mod tests {
         };
         let tracks =
             [status(TrackPhase::Tracking, TrackReason::Confirmed), status(TrackPhase::Lost, TrackReason::NotSeen)];
-        let found = diagnostics(&Header::default(), &tracks);
+        let found = diagnostics(&Header::default(), &tracks, &Naming::new([(5, "cup".to_owned())].into()).unwrap());
         assert_eq!(found.status.iter().map(|s| s.level).collect::<Vec<_>>(), [0, 1]);
-        assert_eq!((found.status[1].name.as_str(), found.status[1].hardware_id.as_str()), ("object_5", "1"));
+        assert_eq!((found.status[1].name.as_str(), found.status[1].hardware_id.as_str()), ("cup", "1"));
         assert!(found.status[1].message.starts_with("lost: flow and picture"));
     }
 }

@@ -1,105 +1,82 @@
 //! The house's [`ObjectPoses`](crate::ObjectPoses) as the world reads them, and a detector's poses as the house does.
 
+use super::follow::stands;
 use super::{
-    BoundingBox3D, Detection3D, Detection3DArray, Header, ObjectHypothesis, ObjectHypothesisWithPose, Point, Pose,
-    PoseStamped, PoseWithCovariance, Quaternion, TFMessage, Transform, TransformStamped, Vector3,
+    Detection3D, Detection3DArray, Header, Naming, ObjectHypothesis, ObjectHypothesisWithPose, Point, Pose,
+    PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage, Transform, TransformStamped,
+    Vector3,
 };
 use crate::{ObjectPose, PoseSource, PoseStatus};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-/// What objects are called outside: `class_id` of detections, child frames of transforms.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Naming(BTreeMap<u32, String>);
-
-impl Naming {
-    /// Takes names by object id.
-    ///
-    /// # Errors
-    /// The name that two ids have, or that is another object's id.
-    pub fn new(names: BTreeMap<u32, String>) -> Result<Self, String> {
-        let naming = Self(names);
-        match naming.0.iter().find(|(id, name)| naming.object_id(name) != Some(**id)) {
-            Some((_, name)) => Err(name.clone()),
-            None => Ok(naming),
-        }
-    }
-
-    /// The object's name, or its id in digits where it has none.
-    #[must_use]
-    pub fn class_id(&self, object_id: u32) -> String {
-        self.0.get(&object_id).cloned().unwrap_or_else(|| object_id.to_string())
-    }
-
-    /// The object that a detector means: by name, or by id in digits.
-    #[must_use]
-    pub fn object_id(&self, class_id: &str) -> Option<u32> {
-        let by_digits = class_id.parse().ok();
-        by_digits.or_else(|| self.0.iter().find(|(_, name)| *name == class_id).map(|(id, _)| *id))
-    }
-
-    /// The frame of an object: `object_5`, and `object_5_1` for its second instance.
-    #[must_use]
-    pub fn child_frame_id(pose: &ObjectPose) -> String {
-        match pose.instance {
-            0 => format!("object_{}", pose.object_id),
-            instance => format!("object_{}_{instance}", pose.object_id),
-        }
+impl From<&ObjectPose> for Pose {
+    fn from(pose: &ObjectPose) -> Self {
+        let ([x, y, z], [qx, qy, qz, qw]) = (pose.translation_m, pose.rotation_xyzw);
+        Self { position: Point { x, y, z }, orientation: Quaternion { x: qx, y: qy, z: qz, w: qw } }
     }
 }
 
-fn is_ok(pose: &ObjectPose) -> bool {
-    pose.status() == Some(PoseStatus::Ok)
+impl From<&ObjectPose> for PoseWithCovariance {
+    fn from(pose: &ObjectPose) -> Self {
+        let covariance = std::array::from_fn(|row| std::array::from_fn(|column| pose.covariance[row * 6 + column]));
+        Self { pose: pose.into(), covariance }
+    }
 }
 
-/// The pose with the highest score among those that stand, of one object or of any; the first of equals.
+/// The poses that stand, and those that do not.
 #[must_use]
-pub fn best_pose(poses: &[ObjectPose], object_id: Option<u32>) -> Option<&ObjectPose> {
-    let candidates = poses.iter().filter(|p| is_ok(p) && object_id.is_none_or(|id| id == p.object_id));
-    candidates.reduce(|best, pose| if pose.score > best.score { pose } else { best })
+pub fn standing(poses: &[ObjectPose]) -> (Vec<ObjectPose>, Vec<ObjectPose>) {
+    poses.iter().copied().partition(stands)
 }
 
-fn ros_pose(pose: &ObjectPose) -> Pose {
-    let ([x, y, z], [qx, qy, qz, qw]) = (pose.translation_m, pose.rotation_xyzw);
-    Pose { position: Point { x, y, z }, orientation: Quaternion { x: qx, y: qy, z: qz, w: qw } }
-}
-
-/// `/object_pose`: `header` is that of the image.
+/// `object_pose`: `header` is that of the image.
 #[must_use]
 pub fn pose_stamped(header: &Header, pose: &ObjectPose) -> PoseStamped {
-    PoseStamped { header: header.clone(), pose: ros_pose(pose) }
+    PoseStamped { header: header.clone(), pose: pose.into() }
 }
 
-/// `/object_poses`: every object. One whose refinement failed keeps its initial pose and gets score 0.
+/// `objects/NAME/pose`: `header` is that of the image.
+#[must_use]
+pub fn pose_with_covariance_stamped(header: &Header, pose: &ObjectPose) -> PoseWithCovarianceStamped {
+    PoseWithCovarianceStamped { header: header.clone(), pose: pose.into() }
+}
+
+/// Poses as detections: one for each instance, named as its frame; further poses of an instance are further results.
+/// The box is that of the first.
 #[must_use]
 pub fn detections(header: &Header, poses: &[ObjectPose], naming: &Naming) -> Detection3DArray {
-    let detections = poses.iter().map(|pose| detection(header, pose, naming)).collect();
-    Detection3DArray { header: header.clone(), detections }
+    let detections = ObjectPose::likeliest(poses).map(|pose| {
+        let same = poses.iter().filter(|other| other.identity() == pose.identity());
+        detection(header, pose, same.map(|pose| result(pose, naming)).collect(), naming)
+    });
+    Detection3DArray { header: header.clone(), detections: detections.collect() }
 }
 
-fn detection(header: &Header, pose: &ObjectPose, naming: &Naming) -> Detection3D {
-    let score = if is_ok(pose) { pose.score } else { 0.0 };
-    let covariance = std::array::from_fn(|row| std::array::from_fn(|column| pose.covariance[row * 6 + column]));
-    let result = ObjectHypothesisWithPose {
-        hypothesis: ObjectHypothesis { class_id: naming.class_id(pose.object_id), score },
-        pose: PoseWithCovariance { pose: ros_pose(pose), covariance },
-    };
-    Detection3D {
-        header: header.clone(),
-        results: vec![result],
-        bbox: BoundingBox3D { center: ros_pose(pose), size: Vector3::default() },
-        id: Naming::child_frame_id(pose),
-    }
+fn detection(
+    header: &Header,
+    pose: &ObjectPose,
+    results: Vec<ObjectHypothesisWithPose>,
+    naming: &Naming,
+) -> Detection3D {
+    let id = naming.token(pose.object_id, pose.instance);
+    Detection3D { header: header.clone(), results, bbox: naming.bounding_box(pose), id }
 }
 
-/// `/tf`: the optical frame to each object whose pose stands.
+fn result(pose: &ObjectPose, naming: &Naming) -> ObjectHypothesisWithPose {
+    let hypothesis = ObjectHypothesis { class_id: naming.class_id(pose.object_id), score: pose.score };
+    ObjectHypothesisWithPose { hypothesis, pose: pose.into() }
+}
+
+/// `/tf`: the optical frame to each object whose pose stands; frames are `prefix` and the object's token.
 #[must_use]
-pub fn transforms(header: &Header, poses: &[ObjectPose]) -> TFMessage {
+pub fn transforms(header: &Header, poses: &[ObjectPose], naming: &Naming, prefix: &str) -> TFMessage {
     let transform = |pose: &ObjectPose| {
-        let Pose { position: Point { x, y, z }, orientation: rotation } = ros_pose(pose);
+        let Pose { position: Point { x, y, z }, orientation: rotation } = pose.into();
         let transform = Transform { translation: Vector3 { x, y, z }, rotation };
-        TransformStamped { header: header.clone(), child_frame_id: Naming::child_frame_id(pose), transform }
+        let child_frame_id = format!("{prefix}{}", naming.token(pose.object_id, pose.instance));
+        TransformStamped { header: header.clone(), child_frame_id, transform }
     };
-    TFMessage { transforms: poses.iter().filter(|pose| is_ok(pose)).map(transform).collect() }
+    TFMessage { transforms: ObjectPose::likeliest(poses).filter(|pose| stands(pose)).map(transform).collect() }
 }
 
 /// Why a detection is no initial pose.
@@ -114,22 +91,46 @@ pub enum DetectionError {
     /// A number is not finite or the quaternion is not of unit length.
     #[error("the pose of `{0}` is not finite or its quaternion not of unit length: mend the detector")]
     NotAPose(String),
-    /// A score or a covariance that is no number.
-    #[error("the score or covariance of `{0}` is not finite: mend the detector")]
-    NotFinite(String),
+    /// A score that is no number.
+    #[error("the score of `{0}` is {1}: mend the detector")]
+    Score(String, f64),
+    /// A covariance that is no number.
+    #[error("the covariance of `{0}` is not finite: mend the detector")]
+    Covariance(String),
+}
+
+impl DetectionError {
+    /// The reason in a word or two, for counting.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Empty(_) => "empty",
+            Self::UnknownClass(_) => "unknown object",
+            Self::NotAPose(_) => "pose",
+            Self::Score(..) => "score",
+            Self::Covariance(_) => "covariance",
+        }
+    }
 }
 
 /// A detector's answer as initial poses, and what could not be used. Each detection counts with its likeliest
-/// result; instances of an object are numbered in their order.
+/// result. An instance is the one that the detection's `id` names; else instances of an object are numbered in their order.
 #[must_use]
 pub fn object_poses(array: &Detection3DArray, naming: &Naming) -> (Vec<ObjectPose>, Vec<DetectionError>) {
     let (mut poses, mut errors) = (Vec::new(), Vec::new());
-    let mut instances = BTreeMap::<u32, u32>::new();
+    let (mut instances, mut free) = (BTreeSet::<(u32, u32)>::new(), BTreeMap::<u32, u32>::new());
     for detection in &array.detections {
         match object_pose(detection, naming) {
             Ok(mut pose) => {
-                let next = instances.entry(pose.object_id).or_default();
-                (pose.instance, *next) = (*next, *next + 1);
+                let taken = |instance: &u32| instances.contains(&(pose.object_id, *instance));
+                let said = naming.instance(pose.object_id, &detection.id).filter(|instance| !taken(instance));
+                let free = free.entry(pose.object_id).or_insert(0);
+                pose.instance = said.unwrap_or_else(|| {
+                    // What is below is taken for good: no message makes this search long.
+                    *free = (*free..).find(|instance| !taken(instance)).unwrap_or_default();
+                    *free
+                });
+                instances.insert(pose.identity());
                 poses.push(pose);
             }
             Err(error) => errors.push(error),
@@ -137,6 +138,9 @@ pub fn object_poses(array: &Detection3DArray, naming: &Naming) -> (Vec<ObjectPos
     }
     (poses, errors)
 }
+
+/// A quaternion this close to unit length is taken as it came, so that what we wrote comes back to the bit.
+const ROUNDING: f64 = 1e-12;
 
 fn object_pose(detection: &Detection3D, naming: &Naming) -> Result<ObjectPose, DetectionError> {
     let likeliest = detection.results.iter().reduce(|a, b| if score(b) > score(a) { b } else { a });
@@ -148,9 +152,13 @@ fn object_pose(detection: &Detection3D, naming: &Naming) -> Result<ObjectPose, D
     if !((norm - 1.0).abs() < 1e-3 && [p.x, p.y, p.z].iter().all(|v| v.is_finite())) {
         return Err(DetectionError::NotAPose(class_id.clone()));
     }
+    if !score(result).is_finite() {
+        return Err(DetectionError::Score(class_id.clone(), score(result)));
+    }
+    let norm = if (norm - 1.0).abs() < ROUNDING { 1.0 } else { norm };
     let covariance = result.pose.covariance;
-    if !(score(result).is_finite() && covariance.iter().flatten().all(|v| v.is_finite())) {
-        return Err(DetectionError::NotFinite(class_id.clone()));
+    if !covariance.iter().flatten().all(|v| v.is_finite()) {
+        return Err(DetectionError::Covariance(class_id.clone()));
     }
     Ok(ObjectPose {
         object_id,
@@ -199,20 +207,6 @@ mod tests {
     }
 
     #[test]
-    fn the_best_pose_is_one_that_stands() {
-        let poses = [
-            pose(1, 0, PoseStatus::Rejected, 0.99),
-            pose(1, 1, PoseStatus::Ok, 0.5),
-            pose(2, 0, PoseStatus::Ok, 0.8),
-            pose(2, 1, PoseStatus::Ok, 0.8),
-        ];
-        assert_eq!(best_pose(&poses, None), Some(&poses[2]));
-        assert_eq!(best_pose(&poses, Some(1)), Some(&poses[1]));
-        assert_eq!(best_pose(&poses, Some(9)), None);
-        assert_eq!(best_pose(&poses[..1], None), None);
-    }
-
-    #[test]
     fn messages_keep_stamp_frame_pose_and_covariance() {
         let poses = [pose(5, 0, PoseStatus::Ok, 0.7), pose(6, 2, PoseStatus::TooFewPoints, 0.9)];
         let stamped: PoseStamped = through_cdr(&pose_stamped(&header(), &poses[0]));
@@ -223,13 +217,13 @@ mod tests {
         let array: Detection3DArray = through_cdr(&detections(&header(), &poses, &naming()));
         let said = |d: &Detection3D| (d.id.clone(), d.results[0].hypothesis.clone());
         let hypothesis = |class_id: &str, score| ObjectHypothesis { class_id: class_id.into(), score };
-        assert_eq!(said(&array.detections[0]), ("object_5".into(), hypothesis("mustard", 0.7)));
-        assert_eq!(said(&array.detections[1]), ("object_6_2".into(), hypothesis("6", 0.0)));
+        assert_eq!(said(&array.detections[0]), ("mustard".into(), hypothesis("mustard", 0.7)));
+        assert_eq!(said(&array.detections[1]), ("object_6_2".into(), hypothesis("6", 0.9)));
         assert_eq!(array.detections[0].results[0].pose.covariance[1][2], 8.0);
 
-        let tf: TFMessage = through_cdr(&transforms(&header(), &poses));
+        let tf: TFMessage = through_cdr(&transforms(&header(), &poses, &naming(), "left/"));
         assert_eq!(tf.transforms.len(), 1);
-        assert_eq!(tf.transforms[0].child_frame_id, "object_5");
+        assert_eq!(tf.transforms[0].child_frame_id, "left/mustard");
         assert_eq!(tf.transforms[0].transform.translation, Vector3 { x: 0.1, y: 0.2, z: 0.3 });
     }
 
@@ -242,35 +236,45 @@ mod tests {
 
     #[test]
     fn unusable_detections_say_why() {
-        let mut array = detections(&header(), &[pose(5, 0, PoseStatus::Ok, 0.7); 7], &naming());
+        let poses = [0, 1, 2, 3, 4].map(|instance| pose(5, instance, PoseStatus::Ok, 0.7));
+        let mut array = detections(&header(), &poses, &naming());
         array.detections[0].results.clear();
         array.detections[1].results[0].hypothesis.class_id = "teapot".into();
         array.detections[2].results[0].pose.pose.position.x = f64::NAN;
         array.detections[3].results[0].pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.0 };
-        array.detections[4].results[0].hypothesis.score = f64::INFINITY;
-        array.detections[5].results[0].hypothesis.score = f64::NAN;
-        array.detections[6].results[0].pose.covariance[5][5] = f64::NAN;
+        array.detections[4].results[0].pose.covariance[5][5] = f64::NAN;
         let (poses, errors) = object_poses(&array, &naming());
         assert!(poses.is_empty());
-        let not_finite = || DetectionError::NotFinite("mustard".into());
         let not_a_pose = || DetectionError::NotAPose("mustard".into());
         let expected = [
-            DetectionError::Empty("object_5".into()),
+            DetectionError::Empty("mustard".into()),
             DetectionError::UnknownClass("teapot".into()),
             not_a_pose(),
             not_a_pose(),
-            not_finite(),
-            not_finite(),
-            not_finite(),
+            DetectionError::Covariance("mustard".into()),
         ];
         assert_eq!(errors, expected);
     }
 
     #[test]
-    fn names_must_be_unambiguous() {
-        let names = |pairs: [(u32, &str); 2]| Naming::new(pairs.map(|(id, name)| (id, name.to_owned())).into());
-        assert_eq!(names([(1, "a"), (2, "a")]).unwrap_err(), "a");
-        assert_eq!(names([(1, "2"), (2, "b")]).unwrap_err(), "2");
-        assert!(names([(1, "a"), (2, "2")]).is_ok());
+    fn hypotheses_of_one_instance_are_results_of_one_detection() {
+        let mut second = pose(5, 0, PoseStatus::Ok, 0.4);
+        second.translation_m = [9.0, 9.0, 9.0];
+        let poses = [pose(5, 0, PoseStatus::Ok, 0.7), second, pose(5, 1, PoseStatus::Ok, 0.6)];
+        let array = detections(&header(), &poses, &naming());
+        let results: Vec<_> = array.detections.iter().map(|d| (d.id.as_str(), d.results.len())).collect();
+        assert_eq!(results, [("mustard", 2), ("mustard_1", 1)]);
+        assert_eq!(array.detections[0].bbox.center, Pose::from(&poses[0]));
+        assert_eq!(object_poses(&array, &naming()).0, [poses[0], poses[2]]);
+    }
+
+    #[test]
+    fn instances_keep_their_numbers_and_poses_their_bits() {
+        let mut turned = pose(5, 3, PoseStatus::Ok, 0.7);
+        turned.rotation_xyzw = [0.1, 0.7, 0.1, 0.7].map(|v: f64| v / 1.0_f64.sqrt() + f64::EPSILON);
+        let (received, _) = object_poses(&detections(&header(), &[turned], &naming()), &naming());
+        assert_eq!(received, [turned]);
+        let (good, bad) = standing(&[turned, pose(5, 0, PoseStatus::Rejected, 0.2)]);
+        assert_eq!((good.len(), bad.len()), (1, 1));
     }
 }

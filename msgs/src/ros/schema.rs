@@ -5,7 +5,8 @@
 //! the same definitions; `tests/interop/read_with_rosbags.py` computes them again from what a bag holds.
 
 use super::{
-    CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Image, PoseStamped, RosMessage, TFMessage,
+    CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Image, PoseStamped, PoseWithCovarianceStamped,
+    RosMessage, TFMessage,
 };
 
 /// A message type that bags can hold.
@@ -40,6 +41,11 @@ bag_message!(
     PoseStamped,
     "../../msg/PoseStamped.msg",
     "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"
+);
+bag_message!(
+    PoseWithCovarianceStamped,
+    "../../msg/PoseWithCovarianceStamped.msg",
+    "26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e"
 );
 bag_message!(TFMessage, "../../msg/TFMessage.msg", "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087");
 bag_message!(
@@ -77,6 +83,7 @@ mod tests {
         complete::<CompressedImage>();
         complete::<CameraInfo>();
         complete::<PoseStamped>();
+        complete::<PoseWithCovarianceStamped>();
         complete::<TFMessage>();
         complete::<Detection3DArray>();
         complete::<DiagnosticArray>();

@@ -30,7 +30,7 @@ fn now_ns() -> Result<i64, Error> {
 }
 
 fn send(frames: usize) -> Result<(), Error> {
-    let mut participant = Participant::open(DdsEnvironment::of_process()?, "hop_sender")?;
+    let mut participant = Participant::open(DdsEnvironment::of_process()?, "/", "hop_sender")?;
     let publisher = participant.publisher::<Image>(&Name::parse(TOPIC)?, &publisher_qos(10))?;
     while participant.subscribers(TOPIC) == 0 {
         std::thread::sleep(Duration::from_millis(10));
@@ -57,7 +57,7 @@ fn send(frames: usize) -> Result<(), Error> {
 }
 
 fn receive(frames: usize) -> Result<(), Error> {
-    let mut participant = Participant::open(DdsEnvironment::of_process()?, "hop_receiver")?;
+    let mut participant = Participant::open(DdsEnvironment::of_process()?, "/", "hop_receiver")?;
     let subscription = participant.subscription::<Image>(&Name::parse(TOPIC)?, &sensor_qos(10))?;
     let mut sender = Command::new(std::env::current_exe()?).args(["send", &frames.to_string()]).spawn()?;
     let (hops, received) = std::sync::mpsc::channel();

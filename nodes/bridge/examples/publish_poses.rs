@@ -1,8 +1,8 @@
 //! Runs the node `bridge` on made-up poses, for the interop tests: `publish_poses FRAMES HZ SUBSCRIBERS`.
 //!
 //! Waits until SUBSCRIBERS of `/object_pose` have been found, then publishes. Frame i, stamped 1700000000 s + i / 30:
-//! object 5 (ok, score 0.9) at (0.001 i, -0.002 i, 1 + 0.003 i) m, turned about z by 0.01 i rad; object 7 the
-//! same one metre to the right with score 0.5; object 9 rejected.
+//! object 5, `mustard` (ok, score 0.9) at (0.001 i, -0.002 i, 1 + 0.003 i) m, turned about z by 0.01 i rad; object 7,
+//! `soup can`, the same one metre to the right with score 0.5; object 9, which has no name, rejected.
 
 use pseudoflow_bridge::{Bridge, BridgeConfig};
 use pseudoflow_msgs::{
@@ -22,7 +22,8 @@ fn main() -> Result<(), NodeError> {
     let (frames, hz, subscribers) = (next()?, next()?, next()?);
 
     let context = Context { name: "bridge".into(), seed: 0, out_dir: ".".into(), restarts: 0, replay: true };
-    let mut bridge = Bridge::create(BridgeConfig::default(), &context)?;
+    let object_names = [(5, "mustard".to_owned()), (7, "soup can".to_owned())].into();
+    let mut bridge = Bridge::create(BridgeConfig { object_names, ..BridgeConfig::default() }, &context)?;
     wait(&bridge, subscribers as usize)?;
     for index in 0..frames {
         let stamp_ns = FIRST_STAMP_NS + index as i64 * FRAME_NS;

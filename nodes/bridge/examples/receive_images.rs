@@ -32,14 +32,8 @@ fn main() -> Result<(), NodeError> {
 }
 
 fn config(transport: Transport) -> BridgeConfig {
-    let camera = CameraConfig {
-        image: "/camera/image".into(),
-        transport,
-        camera_info: "/camera/camera_info".into(),
-        rectified: false,
-        detections: Some("/camera/detections".into()),
-        queue_depth: 30,
-    };
+    let detections = Some("/camera/detections".into());
+    let camera = CameraConfig { transport, detections, queue_depth: 30, ..CameraConfig::of_topic("/camera/image") };
     BridgeConfig { camera: Some(camera), ..BridgeConfig::default() }
 }
 

@@ -1,10 +1,13 @@
 use crate::BridgeError;
-use crate::participant::{node_name, topic_name};
+use crate::camera::{CameraConfig, CameraOrTopic, camera_or_topic};
+use crate::names::{Names, QosOverride};
+use crate::participant::node_name;
+use pseudoflow_edge::Catalogue;
 use pseudoflow_msgs::ros::Naming;
-use ros2_client::Name;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// Most messages that a publisher or subscription may keep.
 const MAX_QUEUE_DEPTH: u32 = 10_000;
@@ -15,17 +18,33 @@ const MAX_QUEUE_DEPTH: u32 = 10_000;
 pub struct BridgeConfig {
     /// Name of the ROS 2 node.
     pub node_name: String,
-    /// Namespace of `object_pose` and `object_poses`; `/tf` stays where ROS 2 looks for it.
+    /// Namespace of the node and of all its topics; `/tf` stays where ROS 2 looks for it.
     pub namespace: String,
-    /// The object of `object_pose`; without it, the one with the best score.
-    pub object_id: Option<u32>,
-    /// What objects are called in `class_id`, by object id; the id in digits where a name is missing.
+    /// Folder of the object set: names, boxes and meshes. `pseudoflow run` fills in that of the graph's other nodes.
+    pub objects: Option<PathBuf>,
+    /// What objects are called, by id, where there is no object set.
     pub object_names: BTreeMap<u32, String>,
+    /// Weights of the networks: `vision_info`'s version goes up with them. `pseudoflow run` fills in the graph's.
+    pub weights: Vec<PathBuf>,
+    /// The object of `object_pose`, by name or id; without, the first that is found, until it is lost.
+    pub object: Option<String>,
+    /// How long the object of `object_pose` may be lost before another takes its place, seconds.
+    pub switch_after_s: f64,
+    /// Transforms.
+    pub tf: TfConfig,
     /// Messages kept for slow reliable subscribers, 1 to 10000.
     #[schemars(range(min = 1, max = 10_000))]
     pub queue_depth: u32,
-    /// The camera, where the bridge is the source of a live graph.
+    /// The camera, where the bridge is the source of a live graph: its images' topic, or a mapping.
+    #[serde(deserialize_with = "camera_or_topic")]
+    #[schemars(with = "Option<CameraOrTopic>")]
     pub camera: Option<CameraConfig>,
+    /// Other names for topics, as `-r FROM:=TO` gives them.
+    pub remap: BTreeMap<String, String>,
+    /// QoS by topic, as the parameters `qos_overrides.TOPIC...` give it.
+    pub qos_overrides: BTreeMap<String, QosOverride>,
+    /// Goes on where RMW_IMPLEMENTATION names a middleware that cannot hear DDS.
+    pub allow_rmw_mismatch: bool,
 }
 
 impl Default for BridgeConfig {
@@ -33,50 +52,35 @@ impl Default for BridgeConfig {
         Self {
             node_name: "pseudoflow".into(),
             namespace: "/".into(),
-            object_id: None,
+            objects: None,
             object_names: BTreeMap::new(),
+            weights: Vec::new(),
+            object: None,
+            switch_after_s: 5.0,
+            tf: TfConfig::default(),
             queue_depth: 100,
             camera: None,
+            remap: BTreeMap::new(),
+            qos_overrides: BTreeMap::new(),
+            allow_rmw_mismatch: false,
         }
     }
 }
 
-/// How images come.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Transport {
-    /// `sensor_msgs/Image`.
-    #[default]
-    Raw,
-    /// `sensor_msgs/CompressedImage`: jpeg or png.
-    Compressed,
+/// What goes out on `/tf`.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TfConfig {
+    /// Whether transforms are published.
+    pub enabled: bool,
+    /// What stands before the names of objects' frames; without, the namespace (`left/` for `/left`).
+    pub prefix: Option<String>,
 }
 
-/// The topics of a live camera.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct CameraConfig {
-    /// Topic of the images, from `/` on.
-    pub image: String,
-    /// How they come.
-    #[serde(default)]
-    pub transport: Transport,
-    /// Topic of their calibration; each image needs one of the same stamp.
-    pub camera_info: String,
-    /// Whether the images are rectified already: then P of the calibration holds, not K and D.
-    #[serde(default)]
-    pub rectified: bool,
-    /// Topic of a detector's initial poses (Detection3DArray); each image then waits for one of the same stamp.
-    #[serde(default)]
-    pub detections: Option<String>,
-    /// Images that wait for what belongs to them, 1 to 10000; older ones are dropped and counted.
-    #[serde(default = "default_camera_depth")]
-    #[schemars(range(min = 1, max = 10_000))]
-    pub queue_depth: u32,
-}
-
-fn default_camera_depth() -> u32 {
-    10
+impl Default for TfConfig {
+    fn default() -> Self {
+        Self { enabled: true, prefix: None }
+    }
 }
 
 impl BridgeConfig {
@@ -85,39 +89,45 @@ impl BridgeConfig {
     /// # Errors
     /// The first that is wrong.
     pub fn check(&self) -> Result<(), BridgeError> {
-        node_name(&self.node_name)?;
-        self.topic("object_pose")?;
+        node_name(&self.namespace, &self.node_name)?;
+        let names = Names::new(self);
+        names.resolve("namespace", "object_pose")?;
+        for (from, to) in &self.remap {
+            names.resolve("remap", from)?;
+            names.resolve("remap", to)?;
+        }
         check_depth("queue_depth", self.queue_depth)?;
-        self.naming()?;
-        self.camera.as_ref().map_or(Ok(()), CameraConfig::check)
+        if !(self.switch_after_s >= 0.0 && self.switch_after_s.is_finite()) {
+            return Err(BridgeError::Seconds { field: "switch_after_s", value: self.switch_after_s });
+        }
+        let naming = self.catalogue()?.naming;
+        self.object.as_deref().map(|name| naming.wanted(name)).transpose()?;
+        self.camera.as_ref().map_or(Ok(()), |camera| camera.check(&names))
     }
 
-    /// What objects are called.
+    /// What objects are called and look like.
     ///
     /// # Errors
-    /// When two could not be told apart.
-    pub fn naming(&self) -> Result<Naming, BridgeError> {
-        Naming::new(self.object_names.clone()).map_err(BridgeError::AmbiguousName)
-    }
-
-    /// A topic in the namespace.
-    pub(crate) fn topic(&self, name: &str) -> Result<Name, BridgeError> {
-        topic_name("namespace", &format!("{}/{name}", self.namespace.trim_end_matches('/')))
-    }
-}
-
-impl CameraConfig {
-    fn check(&self) -> Result<(), BridgeError> {
-        topic_name("camera.image", &self.image)?;
-        topic_name("camera.camera_info", &self.camera_info)?;
-        if let Some(topic) = &self.detections {
-            topic_name("camera.detections", topic)?;
+    /// When the object set cannot be read, or two objects could not be told apart.
+    pub fn catalogue(&self) -> Result<Catalogue, BridgeError> {
+        match &self.objects {
+            Some(folder) => Ok(Catalogue::load(folder)?),
+            None => Ok(Catalogue { naming: Naming::new(self.object_names.clone())?, ..Catalogue::default() }),
         }
-        check_depth("camera.queue_depth", self.queue_depth)
+    }
+
+    /// What stands before the names of objects' frames.
+    pub(crate) fn tf_prefix(&self) -> String {
+        let namespace = self.namespace.trim_matches('/');
+        match &self.tf.prefix {
+            Some(prefix) => prefix.clone(),
+            None if namespace.is_empty() => String::new(),
+            None => format!("{namespace}/"),
+        }
     }
 }
 
-fn check_depth(field: &'static str, depth: u32) -> Result<(), BridgeError> {
+pub(crate) fn check_depth(field: &'static str, depth: u32) -> Result<(), BridgeError> {
     if (1..=MAX_QUEUE_DEPTH).contains(&depth) {
         return Ok(());
     }
@@ -128,16 +138,11 @@ fn check_depth(field: &'static str, depth: u32) -> Result<(), BridgeError> {
 mod tests {
     use super::*;
 
-    fn camera() -> CameraConfig {
-        serde_json::from_value(serde_json::json!({"image": "/camera/image_raw", "camera_info": "/camera/camera_info"}))
-            .unwrap()
-    }
-
     #[test]
     fn the_least_configurations_are_valid() {
         let default: BridgeConfig = serde_json::from_str("{}").unwrap();
         default.check().unwrap();
-        BridgeConfig { camera: Some(camera()), ..default }.check().unwrap();
+        BridgeConfig { camera: Some(CameraConfig::of_topic("/camera/image_raw")), ..default }.check().unwrap();
     }
 
     #[test]
@@ -149,20 +154,19 @@ mod tests {
         assert!(refused(BridgeConfig { node_name: "a/b".into(), ..default() }).contains("`node_name: "));
         let object_names = [(1, "cup".to_owned()), (2, "cup".to_owned())].into();
         assert!(refused(BridgeConfig { object_names, ..default() }).contains("`cup`"));
-        let with = |camera| refused(BridgeConfig { camera: Some(camera), ..default() });
-        assert!(with(CameraConfig { image: "image".into(), ..camera() }).contains("`camera.image: image`"));
-        assert!(with(CameraConfig { detections: Some("//".into()), ..camera() }).contains("`camera.detections: "));
-        assert!(with(CameraConfig { queue_depth: 10_001, ..camera() }).contains("`camera.queue_depth: 10001`"));
+        let object_names: BTreeMap<_, _> = [(1, "soup can".to_owned()), (2, "soup_can".to_owned())].into();
+        assert!(refused(BridgeConfig { object_names, ..default() }).contains("objects/soup_can/pose"));
+        let object_names = [(1, "cup".to_owned())].into();
+        let object = Some("teapot".to_owned());
+        assert!(refused(BridgeConfig { object_names, object, ..default() }).contains("`object: teapot`"));
+        assert!(refused(BridgeConfig { switch_after_s: f64::NAN, ..default() }).contains("`switch_after_s: NaN`"));
         assert!(serde_json::from_str::<BridgeConfig>(r#"{"nodename": "a"}"#).is_err());
     }
 
     #[test]
-    fn topics_lie_in_the_namespace() {
-        let topic = |namespace: &str| {
-            let config = BridgeConfig { namespace: namespace.into(), ..BridgeConfig::default() };
-            config.topic("object_pose").unwrap().to_string()
-        };
-        assert_eq!(topic("/"), "/object_pose");
-        assert_eq!(topic("/robot/arm"), "/robot/arm/object_pose");
+    fn frames_are_named_after_the_namespace() {
+        let prefix =
+            |namespace: &str| BridgeConfig { namespace: namespace.into(), ..BridgeConfig::default() }.tf_prefix();
+        assert_eq!((prefix("/"), prefix("/left/arm")), (String::new(), "left/arm/".to_owned()));
     }
 }

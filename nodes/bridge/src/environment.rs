@@ -1,5 +1,6 @@
 //! The environment variables by which ROS 2 sets up discovery. ros2-client reads none of them.
 
+use crate::BridgeError;
 use std::net::{IpAddr, Ipv4Addr};
 
 /// The highest domain whose first participants' ports fit into 16 bits (DDSI-RTPS 9.6.1.1: 7400 + 250 d).
@@ -31,13 +32,24 @@ impl DiscoveryRange {
 }
 
 /// What the environment says about DDS.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DdsEnvironment {
     /// `ROS_DOMAIN_ID`, 0..=232; 0 where it is not set.
     pub domain_id: u16,
     /// `ROS_LOCALHOST_ONLY` and `ROS_AUTOMATIC_DISCOVERY_RANGE` together; the former wins, as in rcl.
     pub range: DiscoveryRange,
+    /// `RMW_IMPLEMENTATION`: what the other nodes of this shell speak.
+    pub middleware: Option<String>,
 }
+
+/// Variables by which ROS 2's middlewares are set up, and why they change nothing here.
+const NOT_HONOURED: [(&str, &str); 5] = [
+    ("ROS_STATIC_PEERS", "RustDDS finds peers by multicast and on this host only"),
+    ("CYCLONEDDS_URI", "it configures CycloneDDS, this is RustDDS"),
+    ("FASTRTPS_DEFAULT_PROFILES_FILE", "it configures Fast DDS, this is RustDDS"),
+    ("FASTDDS_DEFAULT_PROFILES_FILE", "it configures Fast DDS, this is RustDDS"),
+    ("ROS_DISCOVERY_SERVER", "RustDDS knows no discovery server"),
+];
 
 /// An environment variable without meaning.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -63,13 +75,49 @@ impl DdsEnvironment {
     /// When a variable holds something that ROS 2 gives no meaning.
     pub fn read(variable: impl Fn(&str) -> Option<String>) -> Result<Self, EnvironmentError> {
         let get = |name: &str| variable(name).filter(|value| !value.is_empty());
-        if let Some(peers) = get("ROS_STATIC_PEERS") {
-            log::warn!("ROS_STATIC_PEERS={peers} is ignored: RustDDS finds peers by multicast and on this host only");
-        }
         let domain_id = get("ROS_DOMAIN_ID").map_or(Ok(0), domain_id)?;
         let localhost_only = get("ROS_LOCALHOST_ONLY").map_or(Ok(false), localhost_only)?;
         let range = get("ROS_AUTOMATIC_DISCOVERY_RANGE").map_or(Ok(DiscoveryRange::Subnet), range)?;
-        Ok(Self { domain_id, range: if localhost_only { DiscoveryRange::Localhost } else { range } })
+        let range = if localhost_only { DiscoveryRange::Localhost } else { range };
+        Ok(Self { domain_id, range, middleware: get("RMW_IMPLEMENTATION") })
+    }
+
+    /// One line for each variable that is set and changes nothing.
+    #[must_use]
+    pub fn not_honoured(variable: impl Fn(&str) -> Option<String>) -> Vec<String> {
+        let set = NOT_HONOURED.iter().filter(|(name, _)| variable(name).is_some_and(|value| !value.is_empty()));
+        set.map(|(name, why)| format!("{name} is not honoured: {why}")).collect()
+    }
+
+    /// What is wrong with `ROS_DISTRO`, if anything: nodes of other releases hear the messages, but cannot list the topics of ours.
+    #[must_use]
+    pub fn other_release(distro: Option<&str>) -> Option<String> {
+        // Iron has the same node graph.
+        const SINCE_JAZZY: [&str; 5] = ["iron", "jazzy", "kilted", "lyrical", "rolling"];
+        let distro = distro.filter(|distro| !distro.is_empty())?;
+        let fits = if cfg!(feature = "jazzy") { SINCE_JAZZY.contains(&distro) } else { distro == "humble" };
+        let built = if cfg!(feature = "jazzy") { "Jazzy and later" } else { "Humble" };
+        (!fits).then(|| {
+            format!(
+                "ROS_DISTRO={distro}, but this build speaks the node graph of {built}: `ros2 topic list` may not show it \
+                 (features `jazzy`, `humble`)"
+            )
+        })
+    }
+
+    /// Whether the nodes of this shell can hear DDS.
+    ///
+    /// # Errors
+    /// When they speak Zenoh, unless that is `allowed`.
+    pub fn check_middleware(&self, allowed: bool) -> Result<(), BridgeError> {
+        match &self.middleware {
+            Some(name) if name.contains("zenoh") && !allowed => Err(BridgeError::Middleware(name.clone())),
+            Some(name) if name.contains("zenoh") => {
+                log::warn!("RMW_IMPLEMENTATION={name}: its nodes do not hear DDS, which is spoken here");
+                Ok(())
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -112,7 +160,7 @@ mod tests {
 
     #[test]
     fn nothing_set_is_domain_zero_on_the_subnet() {
-        let expected = DdsEnvironment { domain_id: 0, range: DiscoveryRange::Subnet };
+        let expected = DdsEnvironment { domain_id: 0, range: DiscoveryRange::Subnet, middleware: None };
         assert_eq!(read(&[]).unwrap(), expected);
         assert_eq!(read(&[("ROS_DOMAIN_ID", ""), ("ROS_LOCALHOST_ONLY", "")]).unwrap(), expected);
     }
@@ -120,7 +168,7 @@ mod tests {
     #[test]
     fn each_variable_is_honoured() {
         let all = [("ROS_DOMAIN_ID", "42"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")];
-        assert_eq!(read(&all).unwrap(), DdsEnvironment { domain_id: 42, range: DiscoveryRange::Off });
+        assert_eq!(read(&all).unwrap(), DdsEnvironment { domain_id: 42, range: DiscoveryRange::Off, middleware: None });
         for (name, range) in [
             ("LOCALHOST", DiscoveryRange::Localhost),
             ("SUBNET", DiscoveryRange::Subnet),
@@ -135,6 +183,27 @@ mod tests {
         let with = |flag| read(&[("ROS_LOCALHOST_ONLY", flag), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]);
         assert_eq!(with("1").unwrap().range, DiscoveryRange::Localhost);
         assert_eq!(with("0").unwrap().range, DiscoveryRange::Off);
+    }
+
+    #[test]
+    fn zenoh_is_refused_with_the_reason_and_what_changes_nothing_is_named() {
+        let zenoh = read(&[("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")]).unwrap();
+        let text = zenoh.check_middleware(false).unwrap_err().to_string();
+        assert!(text.contains("rmw_zenoh_cpp") && text.contains("--allow-rmw-mismatch"), "{text}");
+        zenoh.check_middleware(true).unwrap();
+        read(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap().check_middleware(false).unwrap();
+        let lines = DdsEnvironment::not_honoured(|name| (name != "CYCLONEDDS_URI").then(|| "x".to_owned()));
+        assert_eq!(lines.len(), 4);
+        assert!(lines[0].starts_with("ROS_STATIC_PEERS is not honoured"));
+    }
+
+    #[test]
+    #[cfg(feature = "jazzy")]
+    fn later_releases_are_no_error() {
+        for distro in [None, Some(""), Some("jazzy"), Some("kilted"), Some("lyrical"), Some("rolling")] {
+            assert_eq!(DdsEnvironment::other_release(distro), None);
+        }
+        assert!(DdsEnvironment::other_release(Some("humble")).unwrap().contains("humble"));
     }
 
     #[test]

@@ -1,5 +1,7 @@
 use crate::EnvironmentError;
-use pseudoflow_msgs::ros::{DetectionError, ImageError, IntrinsicsError};
+use pseudoflow_edge::CatalogueError;
+use pseudoflow_edge::camera::CalibrationFileError;
+use pseudoflow_msgs::ros::NamingError;
 
 /// What goes wrong at the edge to ROS 2.
 #[derive(Debug, thiserror::Error)]
@@ -40,8 +42,28 @@ pub enum BridgeError {
         max: u64,
     },
     /// Two objects that could not be told apart outside.
-    #[error("`object_names`: `{0}` is another object's name or id: give each object a name of its own")]
-    AmbiguousName(String),
+    #[error("`object_names`: {0}")]
+    Naming(#[from] NamingError),
+    /// An object set that cannot be named.
+    #[error("`objects`: {0}")]
+    Catalogue(#[from] CatalogueError),
+    /// A calibration file.
+    #[error("`camera.calibration`: {0}")]
+    Calibration(#[from] CalibrationFileError),
+    /// Another middleware than DDS.
+    #[error(
+        "RMW_IMPLEMENTATION={0}: pseudoflow speaks DDS, which nodes of this middleware do not hear; run them with \
+         rmw_cyclonedds_cpp or rmw_fastrtps_cpp, or go on with --allow-rmw-mismatch (`allow_rmw_mismatch: true`)"
+    )]
+    Middleware(String),
+    /// Seconds that are none.
+    #[error("`{field}: {value}`: give seconds from 0 on (`camera.memory_s`: up to 60)")]
+    Seconds {
+        /// Configuration field.
+        field: &'static str,
+        /// Its value.
+        value: f64,
+    },
     /// A stamp that ROS time cannot hold.
     #[error("frame {index} has stamp {stamp_ns} ns, outside of what builtin_interfaces/Time holds (1901 to 2038)")]
     Stamp {
@@ -54,53 +76,11 @@ pub enum BridgeError {
     #[error("DDS: cannot publish on {topic}: {cause}")]
     Publish {
         /// Topic.
-        topic: &'static str,
+        topic: String,
         /// What ros2-client said.
-        cause: String,
-    },
-    /// A calibration that cannot be used.
-    #[error("topic {topic}: {cause}")]
-    Intrinsics {
-        /// Topic of the CameraInfo.
-        topic: String,
-        /// What is wrong with it.
-        cause: IntrinsicsError,
-    },
-    /// A camera's frame name that does not fit.
-    #[error("topic {topic}: frame_id `{frame_id}` is longer than 63 bytes: shorten it in the camera driver")]
-    FrameId {
-        /// Topic of the image.
-        topic: String,
-        /// The name.
-        frame_id: String,
-    },
-    /// An image and its calibration do not fit.
-    #[error(
-        "topic {topic}: an image of {image:?} pixels came with a CameraInfo for {info:?}: publish both from one driver, unresized"
-    )]
-    Resized {
-        /// Topic of the image.
-        topic: String,
-        /// Width and height.
-        image: (u32, u32),
-        /// Width and height of the calibration.
-        info: (u32, u32),
-    },
-    /// An image that cannot be read.
-    #[error(transparent)]
-    Image(#[from] ImageError),
-    /// A file in a CompressedImage that cannot be read.
-    #[error("CompressedImage of format `{format}`: {cause}; publish jpeg or png")]
-    Compressed {
-        /// The message's `format`.
-        format: String,
-        /// What the decoder said.
         cause: String,
     },
     /// The graph takes frames from a bridge without a camera.
     #[error("the graph takes frames from the bridge, but its configuration names no camera: add `camera: ...`")]
     NoCamera,
-    /// A detection that is no initial pose.
-    #[error(transparent)]
-    Detection(#[from] DetectionError),
 }

@@ -4,14 +4,7 @@
 //! of the line. In a live graph it is the source as well (`frame` and `initial_poses` out, `camera` in its
 //! configuration), and the refined poses come back to it.
 //!
-//! | topic | type | QoS | content |
-//! |---|---|---|---|
-//! | `object_pose` out | `geometry_msgs/PoseStamped` | reliable, volatile, keep last `queue_depth` | the configured or best object whose pose stands |
-//! | `object_poses` out | `vision_msgs/Detection3DArray` | the same | every object, with covariance; score 0 where refinement failed |
-//! | `/tf` out | `tf2_msgs/TFMessage` | the same | optical frame -> `object_N`, poses that stand |
-//! | image in | `sensor_msgs/Image` or `CompressedImage` | best effort, volatile, keep last `queue_depth` | rgb8, bgr8, rgba8, bgra8, mono8; jpeg, png |
-//! | camera info in | `sensor_msgs/CameraInfo` | the same | with each image, of the same stamp |
-//! | detections in | `vision_msgs/Detection3DArray` | the same | optional: initial poses for each image, of the same stamp |
+//! What goes over which topic: [`topics`], `docs/interface.md`.
 //!
 //! Every message out carries the image's stamp and the name of its optical frame; no clock is read. A best-effort
 //! subscription also takes what a reliable publisher sends. RustDDS speaks about each datagram that it cannot
@@ -19,19 +12,26 @@
 
 mod camera;
 mod config;
-mod decode;
+mod description;
+mod detections;
 mod environment;
 mod error;
+mod interface;
+mod ledger;
+mod live;
+mod names;
 mod node;
 mod participant;
 mod publish;
 mod qos;
 mod sync;
 
-pub use config::{BridgeConfig, CameraConfig, Transport};
+pub use camera::{CameraConfig, InfoMode, Transport};
+pub use config::{BridgeConfig, TfConfig};
 pub use environment::{DdsEnvironment, DiscoveryRange, EnvironmentError};
 pub use error::BridgeError;
+pub use interface::{Direction, Topic, topics, topics_table};
+pub use names::{DurabilityPolicy, HistoryPolicy, QosOverride, QosSettings, ReliabilityPolicy};
 pub use node::Bridge;
 pub use participant::Participant;
-pub use publish::{PosePublisher, Published};
-pub use qos::{publisher_qos, sensor_qos};
+pub use qos::{latched_qos, publisher_qos, sensor_qos};

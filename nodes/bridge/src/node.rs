@@ -1,28 +1,25 @@
-use crate::camera::{self, Camera, Picture};
-use crate::{BridgeConfig, BridgeError, DdsEnvironment, Participant, PosePublisher};
-use pseudoflow_msgs::ros::{Naming, object_poses};
-use pseudoflow_msgs::{CameraFrame, CameraFrameHeader, FrameKey, ObjectPose, ObjectPoses, ObjectStatuses};
+use crate::ledger::Ledger;
+use crate::live::{Ears, LiveCamera};
+use crate::names::Names;
+use crate::publish::PosePublisher;
+use crate::{BridgeConfig, BridgeError, DdsEnvironment, Participant};
+use pseudoflow_msgs::{CameraFrame, ObjectPoses, ObjectStatuses, Rectangles};
 use pseudoflow_runtime::{Context, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Role, read};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How long the participant stays after the last message, for subscribers that ask for a repeat.
 const LINGER: Duration = Duration::from_millis(200);
+/// How often `diagnostics` may be published.
+const REPORT: Duration = Duration::from_secs(1);
 
 /// The node `bridge`.
 pub struct Bridge {
     publisher: PosePublisher,
     camera: Option<LiveCamera>,
+    names: Names,
+    ledger: Ledger,
+    reported: Instant,
     participant: Participant,
-}
-
-struct LiveCamera {
-    topics: Box<dyn Camera>,
-    image_topic: String,
-    naming: Naming,
-    next_index: u64,
-    /// Optical frame of the newest image.
-    frame_id: Option<String>,
-    rgb: Vec<u8>,
 }
 
 impl Node for Bridge {
@@ -39,30 +36,44 @@ impl Node for Bridge {
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::optional::<CameraFrame>("frame"), PortSpec::optional::<ObjectPoses>("initial_poses")]
+        vec![
+            PortSpec::optional::<CameraFrame>("frame"),
+            PortSpec::optional::<ObjectPoses>("initial_poses"),
+            PortSpec::optional::<ObjectPoses>("found"),
+            PortSpec::optional::<Rectangles>("rectangles"),
+        ]
     }
 
     fn check(config: &BridgeConfig) -> Result<(), NodeError> {
-        DdsEnvironment::of_process()?;
+        DdsEnvironment::of_process()?.check_middleware(config.allow_rmw_mismatch)?;
         Ok(config.check()?)
     }
 
     fn create(config: BridgeConfig, context: &Context) -> Result<Self, NodeError> {
         config.check()?;
-        let mut participant = Participant::open(DdsEnvironment::of_process()?, &config.node_name)?;
-        let publisher = PosePublisher::new(&mut participant, &config)?;
-        let camera = LiveCamera::open(&mut participant, &config, context)?;
-        Ok(Self { publisher, camera, participant })
+        let environment = DdsEnvironment::of_process()?;
+        environment.check_middleware(config.allow_rmw_mismatch)?;
+        let names = Names::new(&config);
+        let mut participant = Participant::open(environment, &config.namespace, &config.node_name)?;
+        let publisher = PosePublisher::new(&mut participant, &names, &config)?;
+        let camera = LiveCamera::open(&mut participant, &names, &config, context)?;
+        names.warn_of_unused();
+        let (mut ledger, reported) = (Ledger::default(), Instant::now());
+        let variable = |name: &str| std::env::var_os(name).map(|value| value.to_string_lossy().into_owned());
+        DdsEnvironment::not_honoured(variable).into_iter().for_each(|line| ledger.say(line));
+        let other = DdsEnvironment::other_release(variable("ROS_DISTRO").as_deref());
+        other.into_iter().for_each(|line| ledger.say(line));
+        Ok(Self { publisher, camera, names, ledger, reported, participant })
     }
 
     /// Publishes a frame's poses. Where the graph gives no `frame`, they are poses of the bridge's own camera.
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         let poses = read::<ObjectPoses>(inputs, "poses")?;
         let key = inputs.key();
-        let frame_id = match (inputs.bytes("frame"), &self.camera) {
+        let frame_id = match (inputs.bytes("frame"), self.camera.as_ref().map(LiveCamera::frame_id)) {
             (Some(_), _) => read::<CameraFrame>(inputs, "frame")?.header.frame_id(),
-            (None, Some(LiveCamera { frame_id: Some(frame_id), .. })) => frame_id,
-            (None, Some(_)) => {
+            (None, Some(Some(frame_id))) => frame_id,
+            (None, Some(None)) => {
                 log::info!("frame {}: its image came in an earlier life of this node; not published", key.index);
                 return Ok(());
             }
@@ -72,11 +83,20 @@ impl Node for Bridge {
             Some(_) => Some(read::<ObjectStatuses>(inputs, "status")?.statuses),
             None => None,
         };
-        Ok(self.publisher.publish(key, frame_id, poses.poses, statuses)?)
+        Ok(self.publisher.publish(&mut self.participant, &self.names, key, frame_id, poses.poses, statuses)?)
     }
 
     fn poll(&mut self, outputs: &mut dyn Outputs, _: &Context) -> Result<Produced, NodeError> {
-        self.camera.as_mut().ok_or(BridgeError::NoCamera)?.poll(outputs)
+        let camera = self.camera.as_mut().ok_or(BridgeError::NoCamera)?;
+        let mut ears = Ears {
+            participant: &mut self.participant,
+            names: &self.names,
+            naming: self.publisher.naming(),
+            ledger: &mut self.ledger,
+        };
+        let produced = camera.poll(&mut ears, outputs)?;
+        self.report()?;
+        Ok(produced)
     }
 
     fn finish(&mut self, _: &Context) -> Result<(), NodeError> {
@@ -92,62 +112,14 @@ impl Bridge {
     pub fn participant(&self) -> &Participant {
         &self.participant
     }
-}
 
-impl LiveCamera {
-    fn open(
-        participant: &mut Participant,
-        config: &BridgeConfig,
-        context: &Context,
-    ) -> Result<Option<Self>, BridgeError> {
-        let Some(camera) = &config.camera else { return Ok(None) };
-        Ok(Some(Self {
-            topics: camera::open(participant, camera)?,
-            image_topic: camera.image.clone(),
-            naming: config.naming()?,
-            // Frames of a later life are newer than all of an earlier one.
-            next_index: u64::from(context.restarts) << 32,
-            frame_id: None,
-            rgb: Vec::new(),
-        }))
-    }
-
-    fn poll(&mut self, outputs: &mut dyn Outputs) -> Result<Produced, NodeError> {
-        let Some(picture) = self.topics.next(&mut self.rgb)? else { return Ok(Produced::Nothing) };
-        let key = FrameKey { index: self.next_index, stamp_ns: picture.stamp_ns };
-        self.send(outputs, key, &picture)?;
-        self.next_index += 1;
-        self.frame_id = Some(picture.frame_id);
-        Ok(Produced::Frame(key))
-    }
-
-    fn send(&self, outputs: &mut dyn Outputs, key: FrameKey, picture: &Picture) -> Result<(), NodeError> {
-        let (width, height) = picture.size;
-        let frame_id = CameraFrameHeader::frame_id_bytes(&picture.frame_id).ok_or_else(|| BridgeError::FrameId {
-            topic: self.image_topic.clone(),
-            frame_id: picture.frame_id.clone(),
-        })?;
-        let (image_id, intrinsics) = (key.index as u32, picture.intrinsics);
-        let header = CameraFrameHeader { width, height, scene_id: 0, image_id, intrinsics, frame_id };
-        outputs.send("frame", key, CameraFrame::byte_len(width, height), &mut |bytes| {
-            CameraFrame::write(bytes, header).rgb.copy_from_slice(&self.rgb);
-        })?;
-        let initial = self.initial_poses(picture);
-        outputs.send("initial_poses", key, ObjectPoses::byte_len(initial.len()), &mut |bytes| {
-            ObjectPoses::write(bytes, 0, image_id, &initial);
-        })
-    }
-
-    /// The detector's poses for the image; none without a detector.
-    fn initial_poses(&self, picture: &Picture) -> Vec<ObjectPose> {
-        let Some(detections) = &picture.detections else { return Vec::new() };
-        if detections.header.frame_id != picture.frame_id {
-            let (theirs, ours) = (&detections.header.frame_id, &picture.frame_id);
-            log::warn!("detections in frame `{theirs}` ignored: the detector must give poses in the image's `{ours}`");
-            return Vec::new();
+    /// Passes on what was dropped: the lines of the log at once, the account once a second.
+    fn report(&mut self) -> Result<(), BridgeError> {
+        self.ledger.take_said().iter().for_each(|line| self.participant.say(line));
+        if self.reported.elapsed() >= REPORT {
+            self.reported = Instant::now();
+            self.publisher.report(&mut self.ledger)?;
         }
-        let (poses, errors) = object_poses(detections, &self.naming);
-        errors.iter().for_each(|error| log::warn!("{error}"));
-        poses
+        Ok(())
     }
 }

@@ -1,13 +1,24 @@
+use crate::camera::Offer;
+use crate::names::Names;
 use crate::{BridgeError, DdsEnvironment, DiscoveryRange};
 use pseudoflow_msgs::ros::RosMessage;
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
+use ros2_client::dds::rustdds::discovery::PublicationBuiltinTopicData;
+use ros2_client::log::LogLevel;
+use ros2_client::qos::Reliability;
+use ros2_client::ros2::policy;
+use ros2_client::rosout::RosoutRaw;
 use ros2_client::{Context, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile, Subscription};
+use std::collections::BTreeMap;
 
 /// The one DDS participant of a process, and its ROS 2 node.
 ///
-/// There are no parameter services and no `/rosout`: the node only publishes and subscribes.
+/// There are no parameter services: parameters are read once, at the start.
 pub struct Participant {
     node: Node,
+    context: Context,
+    /// What our subscriptions request, by topic.
+    requested: BTreeMap<String, Reliability>,
 }
 
 impl Participant {
@@ -15,8 +26,9 @@ impl Participant {
     ///
     /// # Errors
     /// When the node's name is none or DDS cannot open its ports.
-    pub fn open(environment: DdsEnvironment, node_name: &str) -> Result<Self, BridgeError> {
-        let name = self::node_name(node_name)?;
+    pub fn open(environment: DdsEnvironment, namespace: &str, node_name: &str) -> Result<Self, BridgeError> {
+        let name = self::node_name(namespace, node_name)?;
+        let full_name = name.fully_qualified_name();
         let mut builder = DomainParticipantBuilder::new(environment.domain_id)
             .same_host_loopback(environment.range != DiscoveryRange::Off);
         if let Some(networks) = environment.range.only_networks() {
@@ -24,10 +36,10 @@ impl Participant {
         }
         let participant = builder.build().map_err(|error| create("the participant", &error))?;
         let context = Context::from_domain_participant(participant).map_err(|error| create("the context", &error))?;
-        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
+        let options = NodeOptions::new().enable_rosout(true).start_parameter_services(false);
         let node = context.new_node(name, options).map_err(|error| create("the node", &error))?;
-        log::info!("DDS domain {}, discovery range {:?}, node {node_name}", environment.domain_id, environment.range);
-        Ok(Self { node })
+        log::info!("DDS domain {}, discovery range {:?}, node {full_name}", environment.domain_id, environment.range);
+        Ok(Self { node, context, requested: BTreeMap::new() })
     }
 
     /// Publishes a topic. A name without leading `/` lies in the root namespace too.
@@ -54,6 +66,53 @@ impl Participant {
         self.node.create_subscription(&dds_topic, None).map_err(failed)
     }
 
+    /// Publishes a topic of the configuration: its name resolved, its QoS as overrides ask for it.
+    pub(crate) fn advertise<M: RosMessage>(
+        &mut self,
+        names: &Names,
+        topic: &str,
+        qos: QosProfile,
+    ) -> Result<Publisher<M>, BridgeError> {
+        let name = names.resolve("topic", topic)?;
+        let qos = names.publisher_qos(&name, qos);
+        self.publisher(&name, &qos)
+    }
+
+    /// Subscribes to a resolved topic, with QoS as overrides ask for it.
+    pub(crate) fn subscribe<M: RosMessage>(
+        &mut self,
+        names: &Names,
+        topic: &Name,
+        qos: QosProfile,
+    ) -> Result<Subscription<M>, BridgeError> {
+        let qos = names.subscription_qos(topic, qos);
+        let subscription = self.subscription(topic, &qos)?;
+        self.requested.insert(topic.to_string(), qos.reliability);
+        Ok(subscription)
+    }
+
+    /// The reliability that our subscription to a topic requests.
+    pub(crate) fn requested(&self, topic: &Name) -> Option<Reliability> {
+        self.requested.get(&topic.to_string()).copied()
+    }
+
+    /// Type and reliability of each publisher of an absolute topic name.
+    pub(crate) fn offers(&self, topic: &str) -> Vec<Offer> {
+        let dds_name = format!("rt{topic}");
+        let writers = self.context.domain_participant().discovered_writers();
+        let data = writers.iter().map(|writer| &writer.publication_topic_data);
+        let of_topic = data.filter(|data| data.topic_name == dds_name);
+        let reliable =
+            |data: &PublicationBuiltinTopicData| matches!(data.reliability, Some(policy::Reliability::Reliable { .. }));
+        of_topic.map(|data| Offer { type_name: data.type_name.clone(), reliable: reliable(data) }).collect()
+    }
+
+    /// Says a warning on /rosout.
+    pub(crate) fn say(&self, line: &str) {
+        let now = ros2_client::builtin_interfaces::Time::now();
+        self.node.rosout_raw(now, LogLevel::Warn, self.node.base_name(), line, file!(), "", line!());
+    }
+
     /// How many subscribers of an absolute topic name have been found.
     #[must_use]
     pub fn subscribers(&self, topic: &str) -> usize {
@@ -75,22 +134,14 @@ fn create(what: &str, error: &dyn std::fmt::Display) -> BridgeError {
     BridgeError::Create { what: what.to_owned(), cause: error.to_string() }
 }
 
-pub(crate) fn node_name(name: &str) -> Result<NodeName, BridgeError> {
-    NodeName::new("/", name).map_err(|error| BridgeError::Name {
-        field: "node_name",
-        name: name.to_owned(),
+pub(crate) fn node_name(namespace: &str, name: &str) -> Result<NodeName, BridgeError> {
+    let namespace = format!("/{}", namespace.trim_matches('/'));
+    let field = if NodeName::new("/", name).is_ok() { "namespace" } else { "node_name" };
+    NodeName::new(&namespace, name).map_err(|error| BridgeError::Name {
+        field,
+        name: if field == "namespace" { namespace.clone() } else { name.to_owned() },
         cause: error.to_string(),
     })
-}
-
-/// A topic of the configuration.
-pub(crate) fn topic_name(field: &'static str, name: &str) -> Result<Name, BridgeError> {
-    let parsed = if name.starts_with('/') {
-        Name::parse(name).map_err(|error| error.to_string())
-    } else {
-        Err("it does not begin with `/`".to_owned())
-    };
-    parsed.map_err(|cause| BridgeError::Name { field, name: name.to_owned(), cause })
 }
 
 #[cfg(test)]
@@ -99,12 +150,8 @@ mod tests {
 
     #[test]
     fn names_are_checked_before_anything_starts() {
-        assert!(topic_name("image", "/camera/image_raw").is_ok());
-        for name in ["image", "/", "/camera/", "/a b", "/1st"] {
-            let text = topic_name("image", name).unwrap_err().to_string();
-            assert!(text.contains("`image: "), "{text}");
-        }
-        assert!(node_name("pseudoflow").is_ok());
-        assert!(node_name("pseudo flow").is_err());
+        assert_eq!(node_name("/left/", "pseudoflow").unwrap().fully_qualified_name(), "/left/pseudoflow");
+        assert_eq!(node_name("/", "pseudoflow").unwrap().fully_qualified_name(), "/pseudoflow");
+        assert!(node_name("/", "pseudo flow").is_err());
     }
 }

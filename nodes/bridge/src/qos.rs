@@ -16,6 +16,12 @@ pub fn publisher_qos(depth: u32) -> QosProfile {
     }
 }
 
+/// What is said once and kept for those who come later: reliable, transient local, the last message.
+#[must_use]
+pub fn latched_qos() -> QosProfile {
+    QosProfile { durability: Durability::TransientLocal, ..publisher_qos(1) }
+}
+
 /// What is subscribed: ROS 2's profile for sensor data (best effort, volatile), keep last `depth`.
 #[must_use]
 pub fn sensor_qos(depth: u32) -> QosProfile {

@@ -1,83 +1,93 @@
-use std::collections::BTreeMap;
+use std::collections::VecDeque;
 
-/// Brings together what belongs to one image: messages of the same stamp, in whatever order they come.
+/// Joins images with the calibration of the same stamp, in whatever order they come.
 ///
-/// Complete sets leave in the order of their stamps. What is older than a set that left, or more than `depth`
-/// messages old, is dropped; dropped images are counted.
+/// Pairs leave in the order of their stamps. What is older than a pair that left is dropped. Of what never completes, `depth`
+/// messages are kept, those that came last: a stamp from the future cannot push out what belongs together.
 #[derive(Debug)]
-pub(crate) struct StampSync<Image, Info, Extra> {
+pub(crate) struct StampSync<Image, Info> {
     depth: usize,
-    extra_needed: bool,
-    images: BTreeMap<i64, Image>,
-    infos: BTreeMap<i64, Info>,
-    extras: BTreeMap<i64, Extra>,
+    images: VecDeque<(i64, Image)>,
+    infos: VecDeque<(i64, Info)>,
     left: Option<i64>,
     dropped: u64,
 }
 
 /// One image with what belongs to it.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) struct Complete<Image, Info, Extra> {
+pub(crate) struct Complete<Image, Info> {
     pub(crate) stamp_ns: i64,
     pub(crate) image: Image,
     pub(crate) info: Info,
-    pub(crate) extra: Option<Extra>,
 }
 
-impl<Image, Info, Extra> StampSync<Image, Info, Extra> {
-    pub(crate) fn new(depth: usize, extra_needed: bool) -> Self {
-        let (images, infos, extras) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        Self { depth, extra_needed, images, infos, extras, left: None, dropped: 0 }
+/// A clock that jumped back this far (a looped recording, a restarted driver) begins anew; so does one that went ahead.
+const JUMP_NS: i64 = 1_000_000_000;
+
+impl<Image, Info> StampSync<Image, Info> {
+    pub(crate) fn new(depth: usize) -> Self {
+        Self { depth, images: VecDeque::new(), infos: VecDeque::new(), left: None, dropped: 0 }
     }
 
     pub(crate) fn push_image(&mut self, stamp_ns: i64, image: Image) {
-        self.dropped += push(&mut self.images, stamp_ns, image, self.depth, self.left);
+        if self.is_late(stamp_ns) {
+            self.dropped += 1;
+        } else {
+            self.dropped += push(&mut self.images, stamp_ns, image, self.depth);
+        }
     }
 
     pub(crate) fn push_info(&mut self, stamp_ns: i64, info: Info) {
-        push(&mut self.infos, stamp_ns, info, self.depth, self.left);
+        if !self.is_late(stamp_ns) {
+            push(&mut self.infos, stamp_ns, info, self.depth);
+        }
     }
 
-    pub(crate) fn push_extra(&mut self, stamp_ns: i64, extra: Extra) {
-        push(&mut self.extras, stamp_ns, extra, self.depth, self.left);
+    fn is_late(&self, stamp_ns: i64) -> bool {
+        self.left.is_some_and(|left| stamp_ns <= left && left.saturating_sub(stamp_ns) < JUMP_NS)
     }
 
-    /// Images that were dropped because something of theirs was missing, or because they came too late.
-    pub(crate) fn dropped(&self) -> u64 {
-        self.dropped
+    /// Images that were dropped since this was last asked, because something of theirs was missing, or because they came too late.
+    pub(crate) fn take_dropped(&mut self) -> u64 {
+        std::mem::take(&mut self.dropped)
     }
 
-    /// The oldest complete set.
-    pub(crate) fn take(&mut self) -> Option<Complete<Image, Info, Extra>> {
-        let whole =
-            |stamp: &&i64| self.infos.contains_key(stamp) && (!self.extra_needed || self.extras.contains_key(stamp));
-        let stamp_ns = *self.images.keys().find(whole)?;
-        let image = self.images.remove(&stamp_ns)?;
-        let info = self.infos.remove(&stamp_ns)?;
-        let extra = self.extras.remove(&stamp_ns);
+    /// How many images and calibrations wait for each other.
+    pub(crate) fn waiting(&self) -> (usize, usize) {
+        (self.images.len(), self.infos.len())
+    }
+
+    /// The oldest complete pair.
+    pub(crate) fn take(&mut self) -> Option<Complete<Image, Info>> {
+        let has_info = |stamp: i64| self.infos.iter().any(|(of, _)| *of == stamp);
+        let stamp_ns = self.images.iter().map(|(stamp, _)| *stamp).filter(|stamp| has_info(*stamp)).min()?;
+        let image = remove(&mut self.images, stamp_ns)?;
+        let info = remove(&mut self.infos, stamp_ns)?;
         let waiting = self.images.len();
-        self.images.retain(|stamp, _| *stamp > stamp_ns);
-        self.infos.retain(|stamp, _| *stamp > stamp_ns);
-        self.extras.retain(|stamp, _| *stamp > stamp_ns);
-        self.dropped += (waiting - self.images.len()) as u64;
         self.left = Some(stamp_ns);
-        Some(Complete { stamp_ns, image, info, extra })
+        // A pair of a clock that jumped back does not make the pairs before the jump late, nor is it late itself.
+        let old = |stamp: i64| stamp <= stamp_ns && stamp_ns.saturating_sub(stamp) < JUMP_NS;
+        self.images.retain(|(stamp, _)| !old(*stamp));
+        self.infos.retain(|(stamp, _)| !old(*stamp));
+        self.dropped += (waiting - self.images.len()) as u64;
+        Some(Complete { stamp_ns, image, info })
     }
 }
 
-/// Adds a message and returns how many were dropped for it, itself included.
-fn push<T>(queue: &mut BTreeMap<i64, T>, stamp_ns: i64, message: T, depth: usize, left: Option<i64>) -> u64 {
-    // A clock that jumped back (a looped recording) would otherwise silence the camera for good.
-    const JUMP_NS: i64 = 1_000_000_000;
-    if left.is_some_and(|left| stamp_ns <= left && left.saturating_sub(stamp_ns) < JUMP_NS) {
-        return 1;
+fn remove<T>(queue: &mut VecDeque<(i64, T)>, stamp_ns: i64) -> Option<T> {
+    let at = queue.iter().position(|(stamp, _)| *stamp == stamp_ns)?;
+    queue.remove(at).map(|(_, message)| message)
+}
+
+/// Adds a message and returns how many were dropped for it. The second of a stamp takes the place of the first.
+fn push<T>(queue: &mut VecDeque<(i64, T)>, stamp_ns: i64, message: T, depth: usize) -> u64 {
+    let before = queue.len() + 1;
+    queue.retain(|(stamp, _)| *stamp != stamp_ns);
+    queue.push_back((stamp_ns, message));
+    while queue.len() > depth {
+        queue.pop_front();
     }
-    queue.insert(stamp_ns, message);
-    let excess = queue.len().saturating_sub(depth);
-    for _ in 0..excess {
-        queue.pop_first();
-    }
-    excess as u64
+    (before - queue.len()) as u64
 }
 
 #[cfg(test)]
@@ -85,49 +95,56 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn stamps(sync: &mut StampSync<i64, i64, ()>) -> Vec<i64> {
+    fn stamps(sync: &mut StampSync<i64, i64>) -> Vec<i64> {
         std::iter::from_fn(|| sync.take().map(|set| set.stamp_ns)).collect()
     }
 
     #[test]
-    fn sets_leave_in_order_and_older_images_are_counted() {
-        let mut sync = StampSync::new(10, false);
+    fn pairs_leave_in_order_and_older_images_are_counted() {
+        let mut sync = StampSync::new(10);
         for stamp in [1, 2, 3, 4] {
             sync.push_image(stamp, stamp);
         }
         for stamp in [4, 2] {
             sync.push_info(stamp, stamp);
         }
-        assert_eq!(stamps(&mut sync), [2, 4]);
-        assert_eq!(sync.dropped(), 2);
+        assert_eq!((stamps(&mut sync), sync.take_dropped()), (vec![2, 4], 2));
         sync.push_image(3, 3);
         sync.push_info(3, 3);
-        assert_eq!((stamps(&mut sync), sync.dropped()), (vec![], 3));
+        assert_eq!((stamps(&mut sync), sync.take_dropped()), (vec![], 1));
     }
 
     #[test]
-    fn detections_are_waited_for_when_asked_for() {
-        let mut sync = StampSync::<_, _, &str>::new(10, true);
-        sync.push_image(1, "image");
-        sync.push_info(1, "info");
-        assert_eq!(sync.take(), None);
-        sync.push_extra(1, "poses");
-        let expected = Complete { stamp_ns: 1, image: "image", info: "info", extra: Some("poses") };
-        assert_eq!(sync.take(), Some(expected));
+    fn images_from_the_future_do_not_silence_the_camera() {
+        let mut sync = StampSync::new(10);
+        let future = 9_000_000_000_000;
+        (0..12).for_each(|i| sync.push_image(future + i, future));
+        for stamp in 1..30 {
+            sync.push_image(stamp, stamp);
+            sync.push_info(stamp, stamp);
+            assert_eq!(stamps(&mut sync), [stamp]);
+        }
+        // Even complete ones cost no more than themselves.
+        sync.push_image(future, future);
+        sync.push_info(future, future);
+        assert_eq!(stamps(&mut sync), [future]);
+        sync.push_image(31, 31);
+        sync.push_info(31, 31);
+        assert_eq!(stamps(&mut sync), [31]);
     }
 
     #[test]
     fn what_never_completes_is_bounded() {
-        let mut sync = StampSync::<_, (), ()>::new(3, false);
+        let mut sync = StampSync::<_, ()>::new(3);
         for stamp in 0..100 {
             sync.push_image(stamp, ());
         }
-        assert_eq!((sync.images.len(), sync.dropped()), (3, 97));
+        assert_eq!((sync.waiting(), sync.take_dropped()), ((3, 0), 97));
     }
 
     #[test]
     fn a_clock_that_jumps_back_begins_anew() {
-        let mut sync = StampSync::<_, _, ()>::new(3, false);
+        let mut sync = StampSync::new(3);
         for stamp in [5_000_000_000, 1] {
             sync.push_image(stamp, ());
             sync.push_info(stamp, ());
@@ -138,11 +155,11 @@ mod tests {
     proptest! {
         #[test]
         fn all_pairs_leave_whatever_the_order_within_the_depth(order in Just((0..20_i64).collect::<Vec<_>>()).prop_shuffle()) {
-            let mut sync = StampSync::new(20, false);
+            let mut sync = StampSync::new(20);
             (0..20).for_each(|stamp| sync.push_image(stamp, stamp));
             order.into_iter().for_each(|stamp| sync.push_info(stamp, stamp));
             prop_assert_eq!(stamps(&mut sync), (0..20).collect::<Vec<_>>());
-            prop_assert_eq!(sync.dropped(), 0);
+            prop_assert_eq!(sync.take_dropped(), 0);
         }
     }
 }

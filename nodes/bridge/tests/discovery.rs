@@ -13,7 +13,7 @@ fn domain() -> u16 {
 }
 
 fn open(domain_id: u16, range: DiscoveryRange) -> Participant {
-    Participant::open(DdsEnvironment { domain_id, range }, "tester").unwrap()
+    Participant::open(DdsEnvironment { domain_id, range, middleware: None }, "/", "tester").unwrap()
 }
 
 fn publish(participant: &mut Participant) -> Result<Publisher<PoseStamped>, BridgeError> {

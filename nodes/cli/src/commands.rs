@@ -5,12 +5,16 @@ pub(crate) mod ablate;
 pub(crate) mod adapt;
 pub(crate) mod bag;
 pub(crate) mod bench;
+pub(crate) mod bench_device;
 pub(crate) mod calibrate;
 pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod export;
 mod frames;
+mod inherit;
+pub(crate) mod interface;
 pub(crate) mod pretrain;
+pub(crate) mod ros_args;
 pub(crate) mod run;
 
 /// An error and its causes in one line, none said twice.
@@ -30,6 +34,15 @@ pub(crate) fn progress_bar(length: u64, what: &str) -> indicatif::ProgressBar {
     let bar = indicatif::ProgressBar::new(length);
     let style = indicatif::ProgressStyle::with_template("{prefix} {wide_bar} {pos}/{len} {per_sec} eta {eta} {msg}");
     bar.set_style(style.unwrap_or_else(|_| indicatif::ProgressStyle::default_bar()));
+    bar.set_prefix(what.to_owned());
+    bar
+}
+
+/// A count on standard error of what has no known length, silent where that is no terminal.
+pub(crate) fn progress_spinner(what: &str) -> indicatif::ProgressBar {
+    let bar = indicatif::ProgressBar::new_spinner();
+    let style = indicatif::ProgressStyle::with_template("{spinner} {pos} {prefix} {elapsed}");
+    bar.set_style(style.unwrap_or_else(|_| indicatif::ProgressStyle::default_spinner()));
     bar.set_prefix(what.to_owned());
     bar
 }

@@ -5,6 +5,7 @@ mod pipeline;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use commands::ros_args::{self, RosArgs};
 use pseudoflow_runtime::Registry;
 use std::process::ExitCode;
 
@@ -23,9 +24,13 @@ enum Command {
     /// Starts, watches and ends the nodes of a graph.
     Run(commands::run::Args),
     /// Checks a graph without starting anything.
-    Check(commands::run::CheckArgs),
+    Check(commands::run::GraphArgs),
+    /// Draws a graph: mermaid text, as GitHub and many editors show it.
+    Graph(commands::run::GraphArgs),
     /// Prints the JSON schema of graphs.
     Schema,
+    /// Prints the page about ROS 2: topics, settings, arguments.
+    Interface,
     /// One node of a run, as the supervisor starts it.
     #[command(hide = true)]
     Node(commands::run::NodeArgs),
@@ -39,8 +44,10 @@ enum Command {
     Calibrate(commands::calibrate::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
-    /// Times a training step and a look on a device.
+    /// Plays a recording in real time into a graph: poses per second, latency, what was right in time.
     Bench(commands::bench::Args),
+    /// Times a training step and a look on a device.
+    BenchDevice(commands::bench_device::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
     Eval(commands::eval::Args),
     /// Shows the difference of two reports, object by object.
@@ -55,6 +62,7 @@ fn registry() -> Registry {
     Registry::new()
         .with::<pseudoflow_player::PlayerNode>()
         .with::<pseudoflow_initializer::InitializerNode>()
+        .with::<pseudoflow_tracker::TrackerNode>()
         .with::<pseudoflow_renderer::RendererNode>()
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_consistency::ConsistencyNode>()
@@ -62,16 +70,34 @@ fn registry() -> Registry {
         .with::<pseudoflow_trainer::adapt::TrainerNode>()
         .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()
+        .with::<pseudoflow_evaluator::live::StopwatchNode>()
         .with::<pseudoflow_recorder::RecorderNode>()
 }
 
 /// Quiet libraries: RustDDS calls each datagram that it cannot use an error.
-const LOG_FILTER: &str = "info,rustdds=off,ros2_client=error,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,\
+const LOG_FILTER: &str = "rustdds=off,ros2_client=error,ros2_client::distributions=off,wgpu_core=warn,wgpu_hal=error,naga=warn,iceoryx2=warn,\
     ort=warn,cubecl=warn,burn=warn";
 
+/// Where `--log-level` of `--ros-args` reaches the processes of a graph.
+const LEVEL_VARIABLE: &str = "PSEUDOFLOW_LOG_LEVEL";
+
 fn main() -> ExitCode {
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or(LOG_FILTER)).init();
-    match dispatch(Cli::parse().command) {
+    let (ours, ros) = ros_args::split(std::env::args());
+    let ros = match RosArgs::parse(&ros) {
+        Ok(ros) => ros,
+        Err(error) => {
+            eprintln!("error: {}", commands::chain(&error));
+            return ExitCode::from(2);
+        }
+    };
+    if let Some(level) = &ros.log_level {
+        // SAFETY: no other thread has been started.
+        unsafe { std::env::set_var(LEVEL_VARIABLE, level) };
+    }
+    let level = std::env::var(LEVEL_VARIABLE).unwrap_or_else(|_| "info".to_owned());
+    let filter = format!("{level},{LOG_FILTER}");
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or(filter)).init();
+    match dispatch(Cli::parse_from(ours).command, &ros) {
         Ok(code) => code,
         Err(error) => {
             eprintln!("error: {}", commands::chain(&error));
@@ -80,19 +106,22 @@ fn main() -> ExitCode {
     }
 }
 
-fn dispatch(command: Command) -> Result<ExitCode> {
+fn dispatch(command: Command, ros: &RosArgs) -> Result<ExitCode> {
     match command {
         Command::Demo(args) => commands::demo::run(&args),
-        Command::Run(args) => commands::run::run(&args),
+        Command::Run(args) => commands::run::run(&args, ros),
         Command::Ablate(args) => commands::ablate::run(&args),
         Command::Check(args) => commands::run::check(&args),
+        Command::Graph(args) => commands::run::draw(&args),
         Command::Schema => commands::run::schema(),
+        Command::Interface => commands::interface::run(),
         Command::Node(args) => commands::run::node(&args),
         Command::Pretrain(args) => commands::pretrain::run(&args),
         Command::Adapt(args) => commands::adapt::run(&args),
         Command::Calibrate(args) => commands::calibrate::run(&args),
         Command::Export(args) => commands::export::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
+        Command::BenchDevice(args) => commands::bench_device::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
         Command::Compare(args) => commands::eval::compare(&args),
         Command::Bag(command) => commands::bag::run(&command),

@@ -1,5 +1,5 @@
 //! The consistency node: pseudo-labels for the flow of rendered views (paper, section "Pseudo flow consistency",
-//! eqs. 3 to 5; method.md, "Self-supervision").
+//! eqs. 3 to 5; docs/method.md, "Self-supervision").
 //!
 //! The teacher predicts one flow for each of n views rendered around an initial pose. Every flow says where the surface
 //! points of its view lie in the real crop; where the views say the same of a point, the flow is taken as a label.

@@ -19,6 +19,12 @@ pub enum EvalError {
         /// The cause.
         source: PointsError,
     },
+    /// A reference result file.
+    #[error("{0}: give a BOP result file as `pseudoflow eval --csv` writes it")]
+    Reference(String),
+    /// A pose that came is none.
+    #[error("a pose that came is no pose: {0}")]
+    Arrival(String),
     /// A file that cannot be read or written.
     #[error("{path}: {source}")]
     Io {

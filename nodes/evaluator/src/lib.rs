@@ -6,6 +6,7 @@
 //!   (`report.json`, and with [`overlays`] a self-contained page).
 //! - [`Diagnosis`] says what is wrong: depth, rotation, visibility, the gate, confidence and covariance.
 //! - [`compare`] sets two reports against each other, with a paired bootstrap interval.
+//! - [`live`] says how a graph does beside a camera: rates, latencies, what was right in time.
 //! - [`EvaluatorNode`] collects poses from the graph and scores them at the end.
 
 mod compare;
@@ -15,6 +16,7 @@ mod diagnosis;
 mod error;
 mod evaluate;
 mod html;
+pub mod live;
 mod node;
 mod overlay;
 mod report;

@@ -1,4 +1,4 @@
-//! The flow node: for each reference view, the flow from the rendering to the real crop (paper eq. 4; method.md,
+//! The flow node: for each reference view, the flow from the rendering to the real crop (paper eq. 4; docs/method.md,
 //! step 4).
 //!
 //! The network is an ONNX file, run by [`pseudoflow_inference`], or weights that burn runs on a GPU: `device` says where.

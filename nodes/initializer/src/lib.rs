@@ -1,4 +1,4 @@
-//! The initializer node: objects of a set are found in an image, each with a first pose (method.md, pipeline step 1; Hu et
+//! The initializer node: objects of a set are found in an image, each with a first pose (docs/method.md, pipeline step 1; Hu et
 //! al., "Wide-Depth-Range 6D Object Pose Estimation in Space", CVPR 2021).
 //!
 //! The network says for every cell which object it shows and where the corners of that object's box are ([`votes`]); cells

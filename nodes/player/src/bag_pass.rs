@@ -1,6 +1,8 @@
 //! What the pass that opens a bag collects of images, cameras and detections, and what it finds wrong with them.
 
 use crate::{BagOptions, PlayerError};
+use pseudoflow_edge::camera::Lens;
+use pseudoflow_edge::pixels::check_rgb;
 use pseudoflow_imaging::image_size;
 use pseudoflow_msgs::CameraFrameHeader;
 use pseudoflow_msgs::ros::{
@@ -17,25 +19,39 @@ pub(crate) struct SeenImage {
     pub(crate) size_px: (u32, u32),
 }
 
-/// Where the intrinsics of a frame come from: fx, fy, cx, cy and the size that they belong to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Camera {
-    pub(crate) intrinsics: [f64; 4],
-    pub(crate) size_px: (u32, u32),
+/// The cameras of a topic.
+#[derive(Debug, Default)]
+pub(crate) struct Cameras {
+    /// Stamp and calibration (number in `calibrations`) of each message.
+    pub(crate) messages: Vec<(i64, usize)>,
+    /// Each calibration once, without its header.
+    pub(crate) calibrations: Vec<CameraInfo>,
+}
+
+impl Cameras {
+    fn add(&mut self, info: CameraInfo) {
+        let stamp_ns = info.header.stamp.as_ns();
+        let info = CameraInfo { header: Header::default(), ..info };
+        // Most recordings have one calibration; the last is looked at first.
+        let number = self.calibrations.iter().rposition(|known| *known == info).unwrap_or_else(|| {
+            self.calibrations.push(info);
+            self.calibrations.len() - 1
+        });
+        self.messages.push((stamp_ns, number));
+    }
 }
 
 /// All topics of the types that could be played, since which of them are is known at the end only.
 pub(crate) struct Pass<'a> {
     options: &'a BagOptions,
     pub(crate) images: BTreeMap<String, Vec<SeenImage>>,
-    pub(crate) cameras: BTreeMap<String, Vec<(i64, Camera)>>,
+    pub(crate) cameras: BTreeMap<String, Cameras>,
     /// Message of each stamp on the topic of initial poses.
     pub(crate) poses: BTreeMap<i64, usize>,
     /// Objects of the initial poses and the first stamp of each.
     pub(crate) objects: BTreeMap<u32, i64>,
     /// The first thing wrong with each topic: an error only if the topic is played.
     wrong: BTreeMap<String, Wrong>,
-    scratch: Vec<u8>,
 }
 
 struct Wrong {
@@ -46,7 +62,7 @@ struct Wrong {
 impl<'a> Pass<'a> {
     pub(crate) fn new(options: &'a BagOptions) -> Self {
         let (images, cameras, poses) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        Self { options, images, cameras, poses, objects: BTreeMap::new(), wrong: BTreeMap::new(), scratch: Vec::new() }
+        Self { options, images, cameras, poses, objects: BTreeMap::new(), wrong: BTreeMap::new() }
     }
 
     pub(crate) fn visit(&mut self, visited: &Visited<'_>) {
@@ -69,13 +85,12 @@ impl<'a> Pass<'a> {
             self.image(topic, &message.header, size_px)
         } else if type_name == Image::type_name() {
             let message: Image = from_cdr(data)?;
-            message.write_rgb(&mut self.scratch)?;
+            check_rgb(&message)?;
             self.image(topic, &message.header, (message.width, message.height))
         } else if type_name == CameraInfo::type_name() {
             let info: CameraInfo = from_cdr(data)?;
-            let camera =
-                Camera { intrinsics: info.intrinsics(self.options.rectified)?, size_px: (info.width, info.height) };
-            self.cameras.entry(topic.to_owned()).or_default().push((info.header.stamp.as_ns(), camera));
+            Lens::check(&info, self.options.rectified)?;
+            self.cameras.entry(topic.to_owned()).or_default().add(info);
             Ok(())
         } else if self.options.poses_topic.as_deref() == Some(topic) && type_name == Detection3DArray::type_name() {
             self.detections(number, &from_cdr(data)?)

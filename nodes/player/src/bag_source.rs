@@ -1,7 +1,8 @@
-use crate::bag_pass::{Camera, Pass, SeenImage};
+use crate::bag_pass::{Cameras, Pass, SeenImage};
 use crate::source::{FrameFacts, check_sizes};
 use crate::{FrameSource, LoadedFrame, PlayerError};
-use pseudoflow_imaging::decode_rgb;
+use pseudoflow_edge::camera::{LensCache, image_size_px};
+use pseudoflow_edge::pixels::{write_rgb, write_rgb_of_file};
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Detection3DArray, Image, Naming, RosMessage, object_poses};
 use pseudoflow_msgs::{CameraFrameHeader, FRAME_ID_BYTES, ObjectPose};
 use pseudoflow_runtime::bag::{BagReader, TopicInfo, TopicNumber};
@@ -9,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Which topics of a bag are played.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct BagOptions {
     /// Topic of the images; without: the only one of an image type.
     pub image_topic: Option<String>,
@@ -17,8 +18,10 @@ pub struct BagOptions {
     pub camera_info_topic: Option<String>,
     /// Topic of initial poses (Detection3DArray); none without.
     pub poses_topic: Option<String>,
-    /// Whether the images are rectified already, so that P holds instead of K.
+    /// Whether the images are rectified already, so that P holds instead of K and D.
     pub rectified: bool,
+    /// The camera of all images, instead of a CameraInfo topic.
+    pub calibration: Option<CameraInfo>,
     /// Names of objects in the detections.
     pub naming: Naming,
 }
@@ -33,6 +36,10 @@ pub struct BagSource {
     poses_topic: Option<TopicNumber>,
     naming: Naming,
     frames: Vec<Frame>,
+    calibrations: Vec<CameraInfo>,
+    rectified: bool,
+    lens: LensCache,
+    scratch: Vec<u8>,
     objects: BTreeMap<u32, usize>,
     /// `(scene, image)` of each frame where the bag was made from a BOP scene.
     bop_ids: Vec<(u32, u32)>,
@@ -42,6 +49,8 @@ pub struct BagSource {
 struct Frame {
     stamp_ns: i64,
     intrinsics: [f64; 4],
+    /// Number of its camera in the source's `calibrations`.
+    calibration: usize,
     /// Message of the poses topic with the image's stamp.
     poses: Option<usize>,
 }
@@ -61,32 +70,51 @@ impl BagSource {
         let compressed = CompressedImage::type_name();
         let image_types = [Image::type_name(), compressed.clone()];
         let image_topic = choose(&reader, options.image_topic.as_deref(), &image_types, "image_topic")?;
-        let info_types = [CameraInfo::type_name()];
-        let info_topic = choose(&reader, options.camera_info_topic.as_deref(), &info_types, "camera_info_topic")?;
+        let info_topic = match options.calibration {
+            Some(_) => None,
+            None => {
+                let types = [CameraInfo::type_name()];
+                Some(choose(&reader, options.camera_info_topic.as_deref(), &types, "camera_info_topic")?)
+            }
+        };
         let poses_types = [Detection3DArray::type_name()];
         let poses_topic = options.poses_topic.as_deref().map(|name| reader.topic(name, &poses_types)).transpose()?;
-        pass.refuse(path, [Some(&image_topic), Some(&info_topic), options.poses_topic.as_ref()])?;
+        pass.refuse(path, [Some(&image_topic), info_topic.as_ref(), options.poses_topic.as_ref()])?;
 
-        let cameras = pass.cameras.get(&info_topic).map(Vec::as_slice).unwrap_or_default();
+        let cameras = match (&options.calibration, &info_topic) {
+            (Some(info), _) => Cameras { messages: vec![(i64::MIN, 0)], calibrations: vec![info.clone()] },
+            (None, Some(topic)) => pass.cameras.remove(topic).unwrap_or_default(),
+            (None, None) => Cameras::default(),
+        };
+        let info_topic = info_topic.unwrap_or_else(|| "calibration".to_owned());
         let images = pass.images.get(&image_topic).map(Vec::as_slice).unwrap_or_default();
-        let paired = pair(path, &info_topic, images, cameras)?;
+        let paired = pair(path, &info_topic, images, &cameras.messages)?;
         // CameraInfo may leave its size 0.
-        let stated = |camera: &Camera| Some(camera.size_px).filter(|size| *size != (0, 0));
-        check_sizes(paired.iter().map(|(image, camera)| (path.to_owned(), image.size_px, stated(camera))))?;
-        let frames: Vec<Frame> = paired
-            .iter()
-            .map(|(image, camera)| Frame {
-                stamp_ns: image.stamp_ns,
-                intrinsics: camera.intrinsics,
-                poses: pass.poses.get(&image.stamp_ns).copied(),
-            })
-            .collect();
+        let stated = |camera: usize| Some(image_size_px(&cameras.calibrations[camera])).filter(|size| *size != (0, 0));
+        check_sizes(paired.iter().map(|(image, camera)| (path.to_owned(), image.size_px, stated(*camera))))?;
+        let mut lens = LensCache::default();
+        let mut frame = |(number, (image, camera)): (usize, &(&SeenImage, usize))| {
+            let made = lens.lens(&cameras.calibrations[*camera], image.size_px, options.rectified);
+            let intrinsics = made.map(|lens| lens.intrinsics()).map_err(|cause| PlayerError::Message {
+                path: path.to_owned(),
+                topic: info_topic.clone(),
+                number,
+                cause: cause.into(),
+            })?;
+            let poses = pass.poses.get(&image.stamp_ns).copied();
+            Ok(Frame { stamp_ns: image.stamp_ns, intrinsics, calibration: *camera, poses })
+        };
+        let frames: Vec<Frame> = paired.iter().enumerate().map(&mut frame).collect::<Result<_, PlayerError>>()?;
         let number = reader.topic(&image_topic, &image_types)?;
         Ok(Self {
             images: (number, reader.topics()[number].type_name == compressed),
             bop_ids: bop_ids(&reader),
             objects: pass.objects.iter().map(|(id, stamp_ns)| (*id, frame_of(&frames, *stamp_ns))).collect(),
             frames,
+            calibrations: cameras.calibrations,
+            rectified: options.rectified,
+            lens,
+            scratch: Vec::new(),
             poses_topic,
             naming: options.naming.clone(),
             path: path.to_owned(),
@@ -99,13 +127,13 @@ impl BagSource {
         let (topic, compressed) = self.images;
         if compressed {
             let message: CompressedImage = self.reader.read(topic, number)?;
-            let name = format!("CompressedImage of format `{}`", message.format);
-            let image = decode_rgb(&message.data, &name).map_err(|error| failed(&self.path, error.to_string()))?;
-            return Ok((image.width(), image.height(), message.header.frame_id, image.into_raw()));
+            let mut rgb = Vec::new();
+            let size = write_rgb_of_file(&message, &mut rgb).map_err(|error| failed(&self.path, error.to_string()))?;
+            return Ok((size.0, size.1, message.header.frame_id, rgb));
         }
         let message: Image = self.reader.read(topic, number)?;
         let mut rgb = Vec::new();
-        message.write_rgb(&mut rgb).map_err(|error| failed(&self.path, error.to_string()))?;
+        write_rgb(&message, &mut rgb).map_err(|error| failed(&self.path, error.to_string()))?;
         Ok((message.width, message.height, message.header.frame_id, rgb))
     }
 
@@ -155,9 +183,9 @@ fn pair<'a>(
     path: &Path,
     topic: &str,
     images: &'a [SeenImage],
-    cameras: &[(i64, Camera)],
-) -> Result<Vec<(&'a SeenImage, Camera)>, PlayerError> {
-    let by_stamp: BTreeMap<i64, Camera> = cameras.iter().copied().collect();
+    cameras: &[(i64, usize)],
+) -> Result<Vec<(&'a SeenImage, usize)>, PlayerError> {
+    let by_stamp: BTreeMap<i64, usize> = cameras.iter().copied().collect();
     let with_camera = |(number, image): (usize, &'a SeenImage)| match by_stamp.range(..=image.stamp_ns).next_back() {
         Some((_, camera)) => Ok((image, *camera)),
         None => Err(PlayerError::NoCameraInfo {
@@ -186,8 +214,12 @@ impl FrameSource for BagSource {
     }
 
     fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {
-        let Frame { stamp_ns, intrinsics, .. } = self.frames[number];
-        let (width, height, name, rgb) = self.decode(number)?;
+        let Frame { stamp_ns, intrinsics, calibration, .. } = self.frames[number];
+        let (width, height, name, mut rgb) = self.decode(number)?;
+        let lens = self.lens.lens(&self.calibrations[calibration], (width, height), self.rectified);
+        let lens =
+            lens.map_err(|cause| PlayerError::Image { path: self.path.clone(), number, cause: cause.to_string() })?;
+        lens.rectify(&mut rgb, &mut self.scratch);
         let frame_id = CameraFrameHeader::frame_id_bytes(&name).unwrap_or([0; FRAME_ID_BYTES]); // checked on the pass
         let (scene_id, image_id) = self.ids(number);
         let header = CameraFrameHeader { width, height, scene_id, image_id, intrinsics, frame_id };

@@ -18,6 +18,6 @@ pub use bag_source::{BagOptions, BagSource};
 pub use bop_source::BopSource;
 pub use error::PlayerError;
 pub use from_bop::{FromBop, from_bop};
-pub use node::{InitialPoses, PlayerConfig, PlayerNode};
+pub use node::{InitialPoses, PlayerConfig, PlayerNode, open_recording};
 pub use sampling::{Sample, Sampler, Sampling};
 pub use source::{FrameFacts, FrameSource, LoadedFrame};

@@ -3,6 +3,8 @@ use crate::sampling::{Sample, Sampler, Sampling};
 use crate::several::Several;
 use crate::source::FrameFacts;
 use crate::{BagOptions, BagSource, BopSource, FrameSource, LoadedFrame, PlayerError};
+use pseudoflow_edge::camera::read_calibration;
+use pseudoflow_edge::naming_of;
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_msgs::ros::Naming;
 use pseudoflow_msgs::{
@@ -15,7 +17,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Settings of the player node.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlayerConfig {
     /// A rosbag2 folder, an .mcap file, or a BOP scene folder.
@@ -35,12 +37,19 @@ pub struct PlayerConfig {
     /// Topic of the CameraInfo; without: the only one.
     #[serde(default)]
     pub camera_info_topic: Option<String>,
-    /// Whether the images of a bag are rectified, so that CameraInfo's P holds instead of K.
+    /// Whether the images of a bag are rectified, so that CameraInfo's P holds instead of K and D. Else they are rectified here.
     #[serde(default)]
     pub rectified: bool,
+    /// Calibration of a bag's camera (YAML of camera_calibration) instead of a CameraInfo topic.
+    #[serde(default)]
+    pub calibration: Option<PathBuf>,
     /// Only initial poses of these objects; all without.
     #[serde(default)]
     pub only_objects: Option<Vec<u32>>,
+    /// Stamps the frames as a camera of this rate would, from one second on, instead of as they were recorded. A live graph
+    /// plays a recording at the pace of its stamps.
+    #[serde(default)]
+    pub hz: Option<f64>,
     /// Plays at most this many frames.
     #[serde(default)]
     pub max_frames: Option<u64>,
@@ -75,7 +84,9 @@ impl PlayerConfig {
             image_topic: None,
             camera_info_topic: None,
             rectified: false,
+            calibration: None,
             only_objects: None,
+            hz: None,
             max_frames: None,
             sampling: None,
         }
@@ -93,6 +104,14 @@ pub struct PlayerNode {
 
 fn is_bop_scene(path: &Path) -> bool {
     path.join("scene_camera.json").is_file()
+}
+
+/// Opens the recordings of a player's settings, to look into them without playing.
+///
+/// # Errors
+/// When one cannot be played.
+pub fn open_recording(config: &PlayerConfig) -> Result<Box<dyn FrameSource>, PlayerError> {
+    open_all(config, &Naming::default())
 }
 
 fn open_all(config: &PlayerConfig, naming: &Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
@@ -117,6 +136,7 @@ fn open(config: &PlayerConfig, path: &Path, naming: Naming) -> Result<Box<dyn Fr
         camera_info_topic: config.camera_info_topic.clone(),
         poses_topic: config.initial_poses.topic.clone(),
         rectified: config.rectified,
+        calibration: config.calibration.as_deref().map(read_calibration).transpose()?,
         naming,
     };
     Ok(Box::new(BagSource::open(path, &options)?))
@@ -262,6 +282,10 @@ impl Node for PlayerNode {
         if config.initial_poses.topic.is_some() && is_bop_scene(&config.source) {
             return Err("`initial_poses.topic`: a BOP scene has no topics: leave it out, or give `file`".into());
         }
+        if config.hz.is_some_and(|hz| !(0.01..=1000.0).contains(&hz)) {
+            return Err("`hz`: give a rate of 0.01 to 1000 frames per second, or leave it out".into());
+        }
+        config.calibration.as_deref().map(read_calibration).transpose()?;
         if config.max_frames == Some(0) {
             return Err("`max_frames: 0`: give at least 1, or leave it out".into());
         }
@@ -270,9 +294,7 @@ impl Node for PlayerNode {
 
     fn create(config: PlayerConfig, context: &Context) -> Result<Self, NodeError> {
         let objects = config.objects.as_deref().map(ObjectSet::load).transpose()?;
-        let names = objects.iter().flat_map(ObjectSet::iter).map(|o| (o.id, o.name.clone())).collect();
-        let naming =
-            Naming::new(names).map_err(|name| format!("names.json: two objects are called `{name}`: rename one"))?;
+        let naming = objects.as_ref().map(naming_of).transpose()?.unwrap_or_default();
         let source = open_all(&config, &naming)?;
         let poses = config.initial_poses.file.as_deref().map(GivenPoses::read).transpose()?;
         if let Some(set) = &objects {
@@ -296,7 +318,8 @@ impl Node for PlayerNode {
         let Some((number, sample)) = self.draw(index, context) else { return Ok(Produced::End) };
         // A file is looked at when the recording is opened; what cannot be decoded shows itself here.
         let mut frame = self.load(number).or_bad_input("source")?;
-        let key = FrameKey { index, stamp_ns: frame.stamp_ns };
+        let of_rate = |hz: f64| 1_000_000_000 + (index as f64 / hz * 1e9).round() as i64;
+        let key = FrameKey { index, stamp_ns: self.config.hz.map_or(frame.stamp_ns, of_rate) };
         if let Some(sample) = &sample {
             frame.initial_poses = vec![frame.initial_poses[sample.pose]];
             if outputs.is_connected("partners") {

@@ -1,4 +1,4 @@
-//! Which frames a training sees, in which order, with which partners (method.md, "Self-supervision").
+//! Which frames a training sees, in which order, with which partners (docs/method.md, "Self-supervision").
 //!
 //! A sample is one instance: a frame and one of its initial poses. Every epoch goes through all samples in an order of
 //! its own. Whatever is drawn depends on the seed and the sample's place in the training alone, so that any sample can

@@ -119,6 +119,7 @@ fn config(source: &Path) -> PlayerConfig {
         image_topic: None,
         camera_info_topic: None,
         rectified: false,
+        calibration: None,
         only_objects: None,
         max_frames: None,
         also: Vec::new(),
@@ -217,9 +218,14 @@ fn intrinsics_that_are_missing_nan_or_distorted() {
     assert_says(&with(|c| c.k = [0.0; 9]), &["bag", "/camera/camera_info", "message 0", "`k`", "calibrate"]);
     assert_says(&with(|c| c.k[0] = f64::NAN), &["bag", "`k`", "NaN"]);
     assert_says(&with(|c| c.k[5] = f64::INFINITY), &["bag", "`k`", "inf"]);
-    assert_says(&with(|c| c.d[1] = 0.2), &["bag", "`d`", "rectify"]);
+    assert_says(&with(|c| c.d = vec![0.1; 3]), &["bag", "plumb_bob", "3 coefficients"]);
+    assert_says(&with(|c| c.d = vec![0.1; 14]), &["bag", "plumb_bob", "14 coefficients"]);
+    assert_says(&with(|c| c.d[0] = f64::NAN), &["bag", "d[0]", "NaN"]);
+    let unknown = |c: &mut CameraInfo| (c.distortion_model, c.d[0]) = ("thin_prism".into(), 0.1);
+    assert_says(&with(unknown), &["bag", "distortion_model", "thin_prism"]);
+    assert_says(&with(|c| c.d[0] = -9.0), &["bag", "/camera/camera_info", "folds back", "radius"]);
     assert_says(&with(|c| c.k[1] = 3.0), &["bag", "skew"]);
-    assert_says(&with(|c| c.binning_x = 2), &["bag", "binning"]);
+    assert_says(&with(|c| c.binning_x = 2), &["bag", "image 0", "(16, 24)", "CameraInfo"]);
 }
 
 #[test]
@@ -235,8 +241,8 @@ fn a_frame_size_that_changes() {
 
 #[test]
 fn an_image_that_is_none() {
-    let odd = Recording { raw: Some(|n| raw(n, "yuv422", &[0, 1])), ..Recording::default() };
-    assert_says(&odd.refused(), &["bag", "/camera/image", "message 0", "yuv422", "rgb8"]);
+    let odd = Recording { raw: Some(|n| raw(n, "16UC1", &[0, 1])), ..Recording::default() };
+    assert_says(&odd.refused(), &["bag", "/camera/image", "message 0", "16UC1", "rgb8"]);
     let short: fn(u32) -> Image = |n| {
         let mut image = raw(n, "rgb8", &[0, 1, 2]);
         image.data.truncate(100);

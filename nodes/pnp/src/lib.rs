@@ -1,4 +1,4 @@
-//! The pnp node: flow and depth to a pose (paper, section 3.1 and the end of 4.1; method.md, pipeline step 5).
+//! The pnp node: flow and depth to a pose (paper, section 3.1 and the end of 4.1; docs/method.md, pipeline step 5).
 //!
 //! Each foreground pixel of the reference gives a 3D point (depth unprojected, object frame) and the crop pixel
 //! where the flow says it is seen; [`pseudoflow_solver::Solver`] finds the pose that explains most of them. [`gate`] judges,

@@ -1,8 +1,10 @@
+use crate::following::Following;
 use crate::overlay::{OverlayConfig, Painter};
 use crate::topics::{Extras, FrameWriter, Topics, jpeg};
+use pseudoflow_edge::Catalogue;
 use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::RgbImage;
-use pseudoflow_msgs::ros::{Header, Time};
+use pseudoflow_msgs::ros::{Header, Naming, Time};
 use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
 use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, files, read};
@@ -12,7 +14,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Settings of the recorder node.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecorderConfig {
     /// Folder of the recording; must not exist yet.
@@ -34,6 +36,15 @@ pub struct RecorderConfig {
     /// (what a file's index takes in memory until it is closed grows with them); without: 4 GiB.
     #[serde(default)]
     pub max_bytes: Option<u64>,
+    /// Folder of the object set, for the names of objects; without, that of the overlay.
+    #[serde(default)]
+    pub objects: Option<PathBuf>,
+    /// The object of `/object_pose`, by name or id; without, the first that is found, until it is lost.
+    #[serde(default)]
+    pub object: Option<String>,
+    /// How long the object of `/object_pose` may be lost before another takes its place, seconds.
+    #[serde(default = "default_switch_after_s")]
+    pub switch_after_s: f64,
 }
 
 /// Of a file when the configuration gives none.
@@ -41,16 +52,34 @@ const MAX_BYTES: u64 = 4 << 30;
 const MAX_FRAMES: u64 = 100_000;
 
 impl RecorderConfig {
-    /// Records into `path` with the defaults.
+    /// Records all that comes, without overlay.
     #[must_use]
     pub fn new(path: PathBuf) -> Self {
-        let jpeg_quality = default_quality();
-        Self { path, images: true, jpeg_quality, overlay: None, period_ms: None, max_bytes: None }
+        Self {
+            path,
+            images: true,
+            jpeg_quality: default_quality(),
+            overlay: None,
+            period_ms: None,
+            max_bytes: None,
+            objects: None,
+            object: None,
+            switch_after_s: default_switch_after_s(),
+        }
+    }
+
+    /// The object set whose names are written.
+    fn object_set(&self) -> Option<&Path> {
+        self.objects.as_deref().or(self.overlay.as_ref().map(|overlay| overlay.objects.as_path()))
     }
 }
 
 fn yes() -> bool {
     true
+}
+
+fn default_switch_after_s() -> f64 {
+    5.0
 }
 
 fn default_quality() -> u8 {
@@ -68,13 +97,16 @@ pub struct RecorderNode {
     /// Below it every frame is recorded: frames of a replay come in order, those of a live graph are counted here.
     next: u32,
     painter: Option<Painter>,
+    naming: Naming,
+    followed: Following,
 }
 
 impl RecorderNode {
     fn record(&mut self, inputs: &dyn Inputs, sequence: u32) -> Result<(), NodeError> {
         let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
         let initial = optional::<ObjectPoses<'static>>(inputs, "initial_poses")?;
-        let initial: Option<Vec<ObjectPose>> = initial.map(|m| ObjectPose::likeliest(m.poses).copied().collect());
+        let initial = initial.map(|message| message.poses);
+        let likeliest: Vec<ObjectPose> = ObjectPose::likeliest(initial.unwrap_or_default()).copied().collect();
         let poses = optional::<ObjectPoses<'static>>(inputs, "poses")?.map(|message| message.poses);
         let statuses = optional::<ObjectStatuses<'static>>(inputs, "status")?.map(|message| message.statuses);
         let shown = optional::<Pictures<'static>>(inputs, "pictures")?;
@@ -87,8 +119,9 @@ impl RecorderNode {
         let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb.to_vec());
         let image = image.filter(|image| image.width() > 0 && image.height() > 0);
         let image = image.ok_or("the frame has too few pixels").or_bad_input("frame")?;
-        let overlay =
-            self.overlay(image.clone(), &frame, initial.as_deref().unwrap_or_default(), poses.unwrap_or_default())?;
+        let overlay = self.overlay(image.clone(), &frame, &likeliest, poses.unwrap_or_default())?;
+        let followed = poses.map(|poses| self.followed.choose(inputs.key().stamp_ns, poses)).transpose()?.flatten();
+        let naming = self.naming.clone();
         let jpeg_quality = self.config.jpeg_quality;
         let pictures = self.config.overlay.as_ref().and_then(|overlay| overlay.pictures.clone());
         let extras = Extras {
@@ -100,15 +133,15 @@ impl RecorderNode {
         };
         let max_bytes = self.config.max_bytes.unwrap_or(MAX_BYTES);
         let (bag, topics) = self.open(extras)?;
-        let mut writer = FrameWriter { bag, topics, header, stamp_ns, sequence };
+        let mut writer = FrameWriter { bag, topics, naming: &naming, header, stamp_ns, sequence };
         if extras.images {
             writer.image(jpeg(&image, jpeg_quality).or_bad_input("frame")?, frame.header)?;
         }
         if let Some(initial) = initial {
-            writer.initial_poses(&initial)?;
+            writer.initial_poses(initial)?;
         }
         if let Some(poses) = poses {
-            writer.poses(poses)?;
+            writer.poses(poses, followed)?;
         }
         if let Some(statuses) = statuses {
             writer.statuses(statuses)?;
@@ -214,6 +247,9 @@ impl Node for RecorderNode {
         if config.max_bytes.is_some_and(|bytes| bytes < 1_000_000) {
             return Err("`max_bytes`: give at least 1000000, or leave it out".into());
         }
+        if !(config.switch_after_s >= 0.0 && config.switch_after_s.is_finite()) {
+            return Err(format!("`switch_after_s: {}`: give seconds from 0 on", config.switch_after_s).into());
+        }
         if config.path.file_name().is_none() {
             return Err(format!("`path: {}`: give the folder that the recording will be", config.path.display()).into());
         }
@@ -222,7 +258,9 @@ impl Node for RecorderNode {
 
     fn create(config: RecorderConfig, context: &Context) -> Result<Self, NodeError> {
         let painter = config.overlay.as_ref().map(Painter::open).transpose()?;
-        let mut node = Self { config, open: None, resumed: None, next: 0, painter };
+        let naming = Catalogue::load_if(config.object_set())?.naming;
+        let followed = Following::open(&config, &naming, context)?;
+        let mut node = Self { config, open: None, resumed: None, next: 0, painter, naming, followed };
         let path = &node.config.path;
         if context.restarts == 0 && path.exists() {
             return Err(BagError::Exists { path: path.clone() }.into());

@@ -1,7 +1,8 @@
 use pseudoflow_imaging::{RgbImage, encode_jpeg};
 use pseudoflow_msgs::ros::{
-    CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped, TFMessage, best_pose,
-    detections, diagnostics, pose_stamped, transforms,
+    BagMessage, CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped,
+    PoseWithCovarianceStamped, TFMessage, detections, diagnostics, pose_stamped, pose_with_covariance_stamped,
+    standing, transforms,
 };
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, ObjectStatus};
 use pseudoflow_runtime::NodeError;
@@ -21,6 +22,9 @@ pub(crate) struct Topics {
 
 struct PoseTopics {
     object_poses: TopicId,
+    refused: TopicId,
+    /// `/objects/NAME/pose` of each instance, made when its first pose comes.
+    objects: BTreeMap<(u32, u32), TopicId>,
     object_pose: TopicId,
     tf: TopicId,
 }
@@ -39,6 +43,7 @@ pub(crate) struct Extras {
 pub(crate) struct FrameWriter<'a> {
     pub(crate) bag: &'a mut BagWriter,
     pub(crate) topics: &'a mut Topics,
+    pub(crate) naming: &'a Naming,
     pub(crate) header: Header,
     pub(crate) stamp_ns: i64,
     pub(crate) sequence: u32,
@@ -64,8 +69,9 @@ impl Topics {
         let mut poses = None;
         if let Some(object_poses) = object_poses {
             let object_pose = bag.add_topic::<PoseStamped>("/object_pose", Qos::RELIABLE)?;
-            poses =
-                Some(PoseTopics { object_poses, object_pose, tf: bag.add_topic::<TFMessage>("/tf", Qos::RELIABLE)? });
+            let refused = bag.add_topic::<Detection3DArray>("/object_poses/refused", Qos::RELIABLE)?;
+            let tf = bag.add_topic::<TFMessage>("/tf", Qos::RELIABLE)?;
+            poses = Some(PoseTopics { object_poses, refused, objects: BTreeMap::new(), object_pose, tf });
         }
         Ok(Self { image, initial_poses, poses, overlay, object_status, pictures: BTreeMap::new() })
     }
@@ -104,27 +110,52 @@ impl FrameWriter<'_> {
 
     pub(crate) fn initial_poses(&mut self, poses: &[ObjectPose]) -> Result<(), NodeError> {
         let Some(topic) = self.topics.initial_poses else { return Ok(()) };
-        let message = detections(&self.header, poses, &Naming::default());
+        let message = detections(&self.header, poses, self.naming);
         Ok(self.bag.write(topic, self.stamp_ns, self.sequence, &message)?)
     }
 
     /// `/object_status`.
     pub(crate) fn statuses(&mut self, statuses: &[ObjectStatus]) -> Result<(), NodeError> {
         let Some(topic) = self.topics.object_status else { return Ok(()) };
-        Ok(self.bag.write(topic, self.stamp_ns, self.sequence, &diagnostics(&self.header, statuses))?)
+        Ok(self.bag.write(topic, self.stamp_ns, self.sequence, &diagnostics(&self.header, statuses, self.naming))?)
     }
 
-    /// `/object_poses`, `/tf`, and `/object_pose` where a pose stands.
-    pub(crate) fn poses(&mut self, poses: &[ObjectPose]) -> Result<(), NodeError> {
-        let Some(topics) = &self.topics.poses else { return Ok(()) };
-        let (stamp_ns, sequence) = (self.stamp_ns, self.sequence);
-        let all = detections(&self.header, poses, &Naming::default());
-        self.bag.write(topics.object_poses, stamp_ns, sequence, &all)?;
-        self.bag.write(topics.tf, stamp_ns, sequence, &transforms(&self.header, poses))?;
-        if let Some(best) = best_pose(poses, None) {
-            self.bag.write(topics.object_pose, stamp_ns, sequence, &pose_stamped(&self.header, best))?;
+    /// `/object_poses` of what stands and `/object_poses/refused` of the rest, `/tf`, `/objects/NAME/pose`, and
+    /// `/object_pose` where the object that it follows stands.
+    pub(crate) fn poses(&mut self, poses: &[ObjectPose], followed: Option<&ObjectPose>) -> Result<(), NodeError> {
+        let Some(topics) = &mut self.topics.poses else { return Ok(()) };
+        let (header, naming) = (&self.header, self.naming);
+        let mut write = Write { bag: self.bag, stamp_ns: self.stamp_ns, sequence: self.sequence };
+        let (good, refused) = standing(poses);
+        write.message(topics.object_poses, &detections(header, &good, naming))?;
+        write.message(topics.refused, &detections(header, &refused, naming))?;
+        write.message(topics.tf, &transforms(header, poses, naming, ""))?;
+        for pose in ObjectPose::likeliest(&good) {
+            let topic = match topics.objects.get(&pose.identity()) {
+                Some(topic) => *topic,
+                None => {
+                    let name = format!("/objects/{}/pose", naming.token(pose.object_id, pose.instance));
+                    let topic = write.bag.add_topic::<PoseWithCovarianceStamped>(&name, Qos::RELIABLE)?;
+                    topics.objects.insert(pose.identity(), topic);
+                    topic
+                }
+            };
+            write.message(topic, &pose_with_covariance_stamped(header, pose))?;
         }
-        Ok(())
+        followed.map_or(Ok(()), |pose| write.message(topics.object_pose, &pose_stamped(header, pose)))
+    }
+}
+
+/// Messages of one frame into a bag.
+struct Write<'a> {
+    bag: &'a mut BagWriter,
+    stamp_ns: i64,
+    sequence: u32,
+}
+
+impl Write<'_> {
+    fn message<M: BagMessage>(&mut self, topic: TopicId, message: &M) -> Result<(), NodeError> {
+        Ok(self.bag.write(topic, self.stamp_ns, self.sequence, message)?)
     }
 }
 

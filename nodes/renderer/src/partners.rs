@@ -1,4 +1,4 @@
-//! Crops of the frames that the photometric loss compares with (method.md, "L_photo").
+//! Crops of the frames that the photometric loss compares with (docs/method.md, "L_photo").
 
 use crate::views::{Plan, ViewSettings, crop_around};
 use pseudoflow_geometry::Intrinsics;

@@ -1,5 +1,5 @@
-//! Training of the flow network: on synthetic pairs ([`pretrain`]; method.md, "Synthetic pre-training") and, without
-//! annotations, on real recordings ([`adapt`]; method.md, "Self-supervision").
+//! Training of the flow network: on synthetic pairs ([`pretrain`]; docs/method.md, "Synthetic pre-training") and, without
+//! annotations, on real recordings ([`adapt`]; docs/method.md, "Self-supervision").
 
 pub mod adapt;
 mod error;

@@ -1,195 +1,136 @@
-//! `pseudoflow bench`: how fast a device trains and looks. Random weights and images: times depend on neither.
+//! `pseudoflow bench`: whether this computer keeps up with a camera. A recording is played in real time into a live graph; what
+//! came when, and how right it was, becomes a report.
 
-use anyhow::{Context as _, Result, anyhow, ensure};
-use pseudoflow_flow::{FlowConfig, FlowNode};
-use pseudoflow_inference::EngineConfig;
-use pseudoflow_msgs::{AlignedBytes, FrameKey, ReferenceViews, ReferenceViewsHeader};
-use pseudoflow_network::{
-    ComputeDevice, Device, FlowBatch, FlowNetwork, REFERENCE_CHANNELS, RefinerBatch, TrainConfig, TrainState, Weights,
-};
-use pseudoflow_runtime::{Context, InMemory, Node};
-use std::path::Path;
+mod beside;
+
+use super::run::read_graph;
+use anyhow::{Context as _, Result, bail, ensure};
+use beside::Beside;
+use pseudoflow_evaluator::live::{Expectation, LiveReport, LiveRun, NodeCost, read_arrivals};
+use pseudoflow_imaging::ObjectSet;
+use pseudoflow_player::{PlayerConfig, open_recording};
+use pseudoflow_runtime::supervisor::{self, Summary};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
 
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// What computes: auto, cpu, vulkan[:N] or cuda[:N].
-    #[arg(long, default_value = "auto")]
-    device: ComputeDevice,
-    /// Networks, by name.
-    #[arg(long, value_delimiter = ',', default_value = "refiner,nano,small")]
-    networks: Vec<String>,
-    /// Pairs in a training step, at 128 px; larger crops get fewer, so that the pixels stay the same.
-    #[arg(long, default_value_t = 16)]
-    batch: usize,
-    /// Width and height of the crops of a look, pixels.
-    #[arg(long, default_value_t = 256)]
-    size: u32,
-    /// Objects in a look.
-    #[arg(long, value_delimiter = ',', default_value = "1,8")]
-    objects: Vec<u32>,
-    /// Iterations of a look; the network's own number where absent.
+    /// What is played: a rosbag2 folder, an .mcap file, or a BOP scene folder.
     #[arg(long)]
-    iterations: Option<u32>,
-    /// Seconds for each number, behind the first run, in which a GPU chooses its kernels.
-    #[arg(long, default_value_t = 4.0)]
-    seconds: f64,
+    source: PathBuf,
+    /// Folder of the object set; takes the place of `objects` in every node of the graph.
+    #[arg(long)]
+    objects: PathBuf,
+    /// Scores against the ground truth of this BOP scene folder.
+    #[arg(long, conflicts_with = "reference")]
+    truth: Option<PathBuf>,
+    /// Scores against this BOP result file of a method that is believed.
+    #[arg(long)]
+    reference: Option<PathBuf>,
+    /// Only poses of the reference with at least this score count.
+    #[arg(long, default_value_t = 0.0, requires = "reference")]
+    sure: f64,
+    /// Frames per second.
+    #[arg(long, default_value_t = 30.0)]
+    hz: f64,
+    /// Plays at most this many frames.
+    #[arg(long)]
+    max_frames: Option<u64>,
+    /// Folder for `report.json`, `report.html` and what the run leaves behind.
+    #[arg(long)]
+    report: PathBuf,
+    /// The graph; its camera or player becomes the recording, and what publishes or records becomes a stopwatch.
+    #[arg(long, default_value = "config/graphs/live_track.yaml")]
+    graph: PathBuf,
+    /// Overrides, as for `run`.
+    #[arg(long = "set", value_name = "NODE.KEY=VALUE")]
+    overrides: Vec<String>,
 }
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
-    ensure!(args.batch > 0 && args.objects.iter().all(|n| *n > 0), "`--batch`, `--objects`: give at least 1");
-    let open = args.device.open()?;
-    println!("device {open}");
-    for name in &args.networks {
-        let network = FlowNetwork::named(name)?;
-        train(args, name, &network, &open.device)?;
-        look(args, name, &network, open.choice)?;
+    let (run, asked_to_stop) = play(args)?;
+    if asked_to_stop {
+        return Ok(ExitCode::FAILURE);
     }
+    let report = LiveReport::new(&run, &ObjectSet::load(&args.objects)?, expectation(args)?.as_ref())?;
+    report.write_json(&args.report.join("report.json"))?;
+    report.write_html(&args.report.join("report.html"))?;
+    println!("{report}");
+    println!("report: {0}/report.json   {0}/report.html", args.report.display());
     Ok(ExitCode::SUCCESS)
 }
 
-/// Seconds of the first run, and the median of those that fit into the time.
-struct Times {
-    first_s: f64,
-    median_s: f64,
-}
-
-fn time(seconds: f64, mut work: impl FnMut() -> Result<()>) -> Result<Times> {
-    let mut once = || {
-        let start = Instant::now();
-        work().map(|()| start.elapsed().as_secs_f64())
-    };
-    let first_s = once()?;
-    let end = Instant::now() + Duration::from_secs_f64(seconds);
-    let mut times = Vec::new();
-    while times.len() < 3 || Instant::now() < end {
-        times.push(once()?);
-    }
-    times.sort_by(f64::total_cmp);
-    Ok(Times { first_s, median_s: times[times.len() / 2] })
-}
-
-/// Values in [-1, 1] without a pattern that a network could use.
-fn noise(len: usize) -> Vec<f32> {
-    (0..len).map(|i| (i as f32 * 12.9898).sin()).collect()
-}
-
-/// Pairs of one training step.
-struct Pairs {
-    n: usize,
-    reference: Vec<f32>,
-    real: Vec<f32>,
-    flow: Vec<f32>,
-    ones: Vec<f32>,
-}
-
-impl Pairs {
-    fn new(n: usize, size_px: usize) -> Self {
-        let area = size_px * size_px;
-        let reference = noise(n * REFERENCE_CHANNELS * area);
-        Self { n, reference, real: noise(n * 3 * area), flow: noise(n * 2 * area), ones: vec![1.0; n * area] }
-    }
-
-    fn of_raft(&self) -> FlowBatch<'_> {
-        FlowBatch { reference: &self.real, real: &self.real, flow: &self.flow, mask: &self.ones, n: self.n }
-    }
-
-    fn of_refiner(&self) -> RefinerBatch<'_> {
-        let Self { reference, real, flow, ones, n } = self;
-        RefinerBatch { reference, real, flow, visible: ones, n: *n }
+fn expectation(args: &Args) -> Result<Option<Expectation>> {
+    match (&args.truth, &args.reference) {
+        (Some(truth), _) => Ok(Some(Expectation::of_truth(truth).context("--truth")?)),
+        (None, Some(results)) => Ok(Some(Expectation::of_reference(results, args.sure).context("--reference")?)),
+        (None, None) => Ok(None),
     }
 }
 
-fn train(args: &Args, name: &str, network: &FlowNetwork, device: &Device) -> Result<()> {
-    let size = network.size_px();
-    let n = (args.batch * 128 * 128 / (size * size)).max(1);
-    let (pairs, config) = (Pairs::new(n, size), TrainConfig::new(1e-5, 1_000_000));
-    let weights = random(network);
-    let times = match network {
-        FlowNetwork::Raft(raft) => {
-            let mut state = TrainState::new(raft.clone(), config, weights, device)?;
-            time(args.seconds, || Ok(state.train_step(&pairs.of_raft()).map(drop)?))?
-        }
-        FlowNetwork::Refiner(refiner) => {
-            let mut state = TrainState::new(refiner.clone(), config, weights, device)?;
-            time(args.seconds, || Ok(state.train_step(&pairs.of_refiner()).map(drop)?))?
-        }
-    };
-    println!(
-        "train {name} {size} px, batch {n}: {:.1} pairs/s ({:.1} ms a step; the first {:.1} s)",
-        n as f64 / times.median_s,
-        1e3 * times.median_s,
-        times.first_s
+/// Plays the recording; also says whether it was asked to stop.
+fn play(args: &Args) -> Result<(LiveRun, bool)> {
+    ensure!(
+        args.objects.join("models_info.json").is_file(),
+        "--objects {}: no BOP models folder",
+        args.objects.display()
     );
-    Ok(())
-}
-
-fn random(network: &FlowNetwork) -> Weights {
-    match network {
-        FlowNetwork::Raft(raft) => Weights::random(raft, 1),
-        FlowNetwork::Refiner(refiner) => Weights::random(refiner, 1),
-    }
-}
-
-/// The flow node as graphs use it.
-fn look(args: &Args, name: &str, network: &FlowNetwork, device: ComputeDevice) -> Result<()> {
-    let folder = std::env::temp_dir().join(format!("pseudoflow-bench-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
-    let model = folder.join("random.safetensors");
-    random(network).save(&model)?;
-    let found = look_with(args, name, network, device, &model);
-    std::fs::remove_dir_all(&folder).with_context(|| format!("{}: cannot be removed", folder.display()))?;
-    found
-}
-
-fn look_with(args: &Args, name: &str, network: &FlowNetwork, device: ComputeDevice, model: &Path) -> Result<()> {
-    let config = FlowConfig {
-        model: model.to_owned(),
-        network: super::export::network(name)?,
-        size_px: args.size,
-        iterations: args.iterations,
-        max_batch: 16,
-        device,
-        engine: EngineConfig::default(),
-        lockstep: None,
+    // Wrong truth should not be found out after the recording was played.
+    expectation(args)?;
+    let frames = frames(args)?;
+    let arrivals = args.report.join("arrivals.jsonl");
+    let beside = Beside {
+        source: &args.source,
+        objects: &args.objects,
+        hz: args.hz,
+        max_frames: args.max_frames,
+        arrivals: &arrivals,
     };
-    let iterations = args.iterations.map_or(network.iterations_infer(), |given| given as usize);
-    let context = Context { name: "bench".into(), seed: 0, out_dir: "/".into(), restarts: 0, replay: true };
-    let failed = |error| anyhow!("{error}");
-    FlowNode::check(&config).map_err(failed)?;
-    let mut node = FlowNode::create(config, &context).map_err(failed)?;
-    for &objects in &args.objects {
-        let mut inputs = InMemory::new(FrameKey { index: 0, stamp_ns: 0 });
-        inputs.messages.push(("views".into(), views(objects, args.size)));
-        let times = time(args.seconds, || {
-            node.process(&inputs, &mut InMemory::default(), &context).map_err(|error| anyhow!("{error}"))
-        })?;
-        println!(
-            "look {name} {} px, {iterations} iterations, {objects} objects: {:.2} ms an object (the first run {:.1} s)",
-            args.size,
-            1e3 * times.median_s / f64::from(objects),
-            times.first_s
-        );
+    let mut graph = beside.graph(read_graph(&args.graph, &[])?)?;
+    for text in &args.overrides {
+        let (key, value) = text.split_once('=').with_context(|| format!("`--set {text}`: write KEY=VALUE"))?;
+        graph.set(key, value)?;
     }
-    Ok(())
+    let folder = args.report.join("run");
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder).with_context(|| format!("{}: cannot be replaced", folder.display()))?;
+    }
+    let summary = supervisor::run(&graph, &crate::registry(), &supervisor::Options::new(&folder))?;
+    let run = LiveRun {
+        source: args.source.display().to_string(),
+        graph: args.graph.display().to_string(),
+        hz: args.hz,
+        nodes: costs(&summary, frames.len()),
+        frames,
+        arrivals: read_arrivals(&arrivals)?,
+        startup_s: summary.startup_s.unwrap_or(0.0),
+    };
+    Ok((run, summary.asked_to_stop))
 }
 
-fn views(instances: u32, size_px: u32) -> AlignedBytes {
-    let header = ReferenceViewsHeader {
-        instances,
-        views_per_instance: 1,
-        size_px,
-        scene_id: 0,
-        image_id: 0,
-        skipped: 0,
-        partners_per_instance: 0,
-        reserved: 0,
-    };
-    let mut bytes = AlignedBytes::zeroed(ReferenceViews::byte_len(&header));
-    let message = ReferenceViews::write(&mut bytes, header);
-    for (i, value) in message.rgb.iter_mut().chain(message.real_rgb).enumerate() {
-        *value = (i * 31 % 253) as u8;
+/// Scene and image of each frame that will be played.
+fn frames(args: &Args) -> Result<Vec<(u32, u32)>> {
+    let mut source = open_recording(&PlayerConfig::new(args.source.clone())).context("--source")?;
+    let count = args.max_frames.map_or(source.count(), |most| source.count().min(most as usize));
+    if count == 0 {
+        bail!("--source {}: no frame in it", args.source.display());
     }
-    bytes
+    let ids = (0..count).map(|number| source.facts(number).map(|facts| (facts.scene_id, facts.image_id)));
+    Ok(ids.collect::<Result<_, _>>()?)
+}
+
+/// What each node used; the stopwatch and the player are no part of what is measured, but run beside it.
+fn costs(summary: &Summary, frames: usize) -> Vec<(String, NodeCost)> {
+    let cost = |node: &supervisor::NodeSummary| NodeCost {
+        cpu_ms_per_frame: node.cpu_ms[1] / frames.max(1) as f64,
+        startup_cpu_ms: node.cpu_ms[0],
+        frames: node.frames,
+        work_ms: node.work_ms,
+    };
+    summary.nodes.iter().map(|node| (node.name.clone(), cost(node))).collect()
+}
+
+/// A path as graphs write it.
+fn text(path: &Path) -> serde_yaml::Value {
+    serde_yaml::Value::String(path.display().to_string())
 }

@@ -4,6 +4,7 @@
 
 mod fit;
 mod samples;
+mod starts;
 
 use super::progress_bar;
 use crate::pipeline::{Pipeline, PipelineConfig};

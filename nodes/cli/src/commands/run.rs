@@ -1,27 +1,35 @@
+use super::ros_args::RosArgs;
 use anyhow::{Context as _, Result};
-use pseudoflow_runtime::{Graph, graph, supervisor};
-use std::path::PathBuf;
+use pseudoflow_runtime::{Graph, graph, local, supervisor};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+/// A graph and what is other than its file says.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct GraphArgs {
     /// The graph, a YAML file.
     graph: PathBuf,
-    /// Folder for what the run leaves behind.
-    #[arg(long, default_value = "out/run")]
-    out: PathBuf,
-    /// Overrides, such as `player.source=my.mcap` or `window=8`.
-    #[arg(long = "set", value_name = "NODE.KEY=VALUE")]
+    /// Overrides: a parameter of the graph (`size_px=256`), a node's setting (`player.source=my.mcap`), or `window=8`.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
+    /// Nodes to leave out: an `evaluator` where there is no truth, a `recorder`.
+    #[arg(long, value_name = "NODE", value_delimiter = ',')]
+    without: Vec<String>,
 }
 
 #[derive(clap::Args)]
-pub(crate) struct CheckArgs {
-    /// The graph, a YAML file.
-    graph: PathBuf,
-    /// Overrides, as for `run`.
-    #[arg(long = "set", value_name = "NODE.KEY=VALUE")]
-    overrides: Vec<String>,
+pub(crate) struct Args {
+    #[command(flatten)]
+    graph: GraphArgs,
+    /// Folder for what the run leaves behind.
+    #[arg(long, default_value = "out/run")]
+    out: PathBuf,
+    /// Run all nodes in this process, one after the other: the same results, slower, and easy to debug. Replay graphs only.
+    #[arg(long)]
+    in_process: bool,
+    /// Goes on under `RMW_IMPLEMENTATION=rmw_zenoh_cpp`, whose nodes do not hear DDS.
+    #[arg(long)]
+    allow_rmw_mismatch: bool,
 }
 
 #[derive(clap::Args)]
@@ -36,7 +44,14 @@ pub(crate) struct NodeArgs {
     run_dir: PathBuf,
 }
 
-pub(crate) fn read_graph(path: &std::path::Path, overrides: &[String]) -> Result<Graph> {
+pub(crate) fn read_graph(path: &Path, overrides: &[String]) -> Result<Graph> {
+    let mut graph = read_stated(path, overrides)?;
+    super::inherit::fill_in(&mut graph);
+    Ok(graph)
+}
+
+/// The graph as file and overrides state it.
+fn read_stated(path: &Path, overrides: &[String]) -> Result<Graph> {
     let mut graph = Graph::read(path)?;
     for text in overrides {
         let (key, value) = text.split_once('=').with_context(|| format!("`--set {text}`: write KEY=VALUE"))?;
@@ -45,14 +60,69 @@ pub(crate) fn read_graph(path: &std::path::Path, overrides: &[String]) -> Result
     Ok(graph)
 }
 
-pub(crate) fn run(args: &Args) -> Result<ExitCode> {
-    let graph = read_graph(&args.graph, &args.overrides)?;
+impl GraphArgs {
+    /// The graph as file and arguments state it.
+    fn stated(&self) -> Result<Graph> {
+        let mut graph = read_stated(&self.graph, &self.overrides)?;
+        for name in &self.without {
+            let names = graph.nodes.keys().cloned().collect::<Vec<_>>().join(", ");
+            let removed = graph.nodes.shift_remove(name);
+            removed
+                .with_context(|| format!("`--without {name}`: the graph has no such node: its nodes are {names}"))?;
+        }
+        Ok(graph)
+    }
+
+    fn read(&self) -> Result<Graph> {
+        let mut graph = self.stated()?;
+        super::inherit::fill_in(&mut graph);
+        Ok(graph)
+    }
+}
+
+/// `ros` is what stood behind `--ros-args` on the command line.
+pub(crate) fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode> {
+    let mut graph = args.graph.stated()?;
+    ros.apply(&mut graph)?;
+    if args.allow_rmw_mismatch {
+        allow_rmw_mismatch(&mut graph);
+    }
+    super::inherit::fill_in(&mut graph);
+    if args.in_process {
+        return run_in_process(&graph, &args.out);
+    }
     supervisor::run(&graph, &crate::registry(), &supervisor::Options::new(&args.out))?;
     Ok(ExitCode::SUCCESS)
 }
 
-pub(crate) fn check(args: &CheckArgs) -> Result<ExitCode> {
-    let read = read_graph(&args.graph, &args.overrides)?;
+fn allow_rmw_mismatch(graph: &mut Graph) {
+    for node in graph.nodes.values_mut().filter(|node| node.kind == "bridge") {
+        if let Some(config) = node.config.as_mapping_mut() {
+            config.insert("allow_rmw_mismatch".into(), true.into());
+        }
+    }
+}
+
+fn run_in_process(graph: &Graph, out: &Path) -> Result<ExitCode> {
+    std::fs::create_dir_all(out).with_context(|| format!("`--out {}`: cannot be made", out.display()))?;
+    let bar = super::progress_spinner("frames");
+    let summary = local::run(graph, &crate::registry(), out, &mut |frames| bar.set_position(frames))?;
+    bar.finish_and_clear();
+    println!("{:16} {:>7} {:>12}", "node", "frames", "ms a frame");
+    for node in &summary.nodes {
+        let ms = node.work.as_secs_f64() * 1e3 / node.frames.max(1) as f64;
+        println!("{:16} {:>7} {ms:>12.1}", node.name, node.frames);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+pub(crate) fn draw(args: &GraphArgs) -> Result<ExitCode> {
+    print!("{}", graph::mermaid(&args.read()?, &crate::registry())?);
+    Ok(ExitCode::SUCCESS)
+}
+
+pub(crate) fn check(args: &GraphArgs) -> Result<ExitCode> {
+    let read = args.read()?;
     match graph::check(&read, &crate::registry()) {
         Ok(()) => {
             println!("{}: {} nodes, no problems", args.graph.display(), read.nodes.len());

@@ -25,6 +25,24 @@ pub(crate) struct Histograms {
     empty: bool,
 }
 
+/// Colours of an object and of what is around it, kept from frame to frame.
+#[derive(Debug, Clone)]
+pub struct Colours(pub(crate) Histograms);
+
+impl Default for Colours {
+    fn default() -> Self {
+        Self(Histograms::new())
+    }
+}
+
+impl Colours {
+    /// Whether nothing was counted yet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.empty
+    }
+}
+
 /// Share of both histograms that is spread over all colours: what was never seen says nothing.
 const SPREAD: f32 = 0.02;
 

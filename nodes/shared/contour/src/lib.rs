@@ -18,6 +18,7 @@
 mod cache;
 mod config;
 mod error;
+mod follow;
 mod hiders;
 mod histogram;
 mod icosphere;
@@ -33,6 +34,7 @@ pub use cache::load_or_make;
 pub use config::{PriorConfig, RegionConfig};
 pub use error::ContourError;
 pub use hiders::Hider;
+pub use histogram::Colours;
 pub use model::{ContourModel, ContourPoint, ModelSettings};
 pub use picture::{Image, image_of_bytes};
 pub use prior::{Prior, retract};

@@ -56,11 +56,13 @@ pub struct Region {
 /// Refines poses by their contours. Holds its working memory.
 #[derive(Debug, Clone)]
 pub struct Refiner {
-    config: RegionConfig,
-    picture: Picture,
-    histograms: Histograms,
-    log_odds: Vec<f32>,
-    lines: Vec<Line>,
+    pub(crate) config: RegionConfig,
+    pub(crate) picture: Picture,
+    pub(crate) histograms: Histograms,
+    /// The colours are those of earlier frames: they are not counted anew at each step.
+    pub(crate) kept: bool,
+    pub(crate) log_odds: Vec<f32>,
+    pub(crate) lines: Vec<Line>,
     hiders: Hiders,
 }
 
@@ -87,6 +89,7 @@ impl Refiner {
             config,
             picture: Picture::default(),
             histograms: Histograms::new(),
+            kept: false,
             log_odds: Vec::new(),
             lines: Vec::new(),
             hiders: Hiders::default(),
@@ -121,7 +124,7 @@ impl Refiner {
     }
 
     /// Makes the picture around the rough pose.
-    fn open(&mut self, task: &Task<'_>) -> RegionStatus {
+    pub(crate) fn open(&mut self, task: &Task<'_>) -> RegionStatus {
         let rough = &task.prior.camera_from_object;
         if !is_finite(rough) {
             return RegionStatus::NotFinite;
@@ -135,7 +138,7 @@ impl Refiner {
         RegionStatus::Ok
     }
 
-    fn descend(&mut self, task: &Task<'_>, start: &Pose, term: &mut Option<&mut dyn Term>) -> Region {
+    pub(crate) fn descend(&mut self, task: &Task<'_>, start: &Pose, term: &mut Option<&mut dyn Term>) -> Region {
         let status = self.begin(task.model, start);
         if status != RegionStatus::Ok {
             return self.without_contour(task, start, status, term);
@@ -171,15 +174,21 @@ impl Refiner {
     }
 
     /// Looks whether there is a contour to speak of.
-    fn begin(&mut self, model: &ContourModel, start: &Pose) -> RegionStatus {
+    pub(crate) fn begin(&mut self, model: &ContourModel, start: &Pose) -> RegionStatus {
         if !is_finite(start) {
             return RegionStatus::NotFinite;
         }
-        self.histograms.clear();
+        if !self.kept {
+            self.histograms.clear();
+        }
         self.place_lines(model, start);
         let used = self.used();
         if used < self.config.min_lines {
             return RegionStatus::NoContour { lines: used };
+        }
+        if self.kept {
+            self.histograms.log_odds(&self.picture.bins, &mut self.log_odds);
+            return RegionStatus::Ok;
         }
         self.count_colours();
         match self.histograms.renew(1.0) && self.histograms.overlap() <= self.config.max_overlap {
@@ -188,21 +197,23 @@ impl Refiner {
         }
     }
 
-    fn used(&self) -> usize {
+    pub(crate) fn used(&self) -> usize {
         self.lines.iter().filter(|l| l.weight > 0.0).count()
     }
 
-    fn place_lines(&mut self, model: &ContourModel, pose: &Pose) {
+    pub(crate) fn place_lines(&mut self, model: &ContourModel, pose: &Pose) {
         project(model.view(pose), pose, &self.picture, false, &mut self.lines);
         self.hiders.apply(&mut self.lines);
     }
 
     fn look(&mut self, model: &ContourModel, pose: &Pose, scale_px: f32) {
         self.place_lines(model, pose);
-        self.count_colours();
-        // Where one side has no pixel any more, the colours of before stand.
-        self.histograms.renew(self.config.renewal);
-        self.histograms.log_odds(&self.picture.bins, &mut self.log_odds);
+        if !self.kept {
+            self.count_colours();
+            // Where one side has no pixel any more, the colours of before stand.
+            self.histograms.renew(self.config.renewal);
+            self.histograms.log_odds(&self.picture.bins, &mut self.log_odds);
+        }
         let reading = Reading {
             scale_px,
             step: SmoothStep::new(self.config.amplitude),
@@ -231,7 +242,7 @@ impl Refiner {
         (step.map_or(*pose, |s| retract(pose, &s)), hessian)
     }
 
-    fn judge(
+    pub(crate) fn judge(
         &mut self,
         task: &Task<'_>,
         pose: &Pose,
@@ -266,7 +277,7 @@ impl Refiner {
     }
 
     /// What prior and further term say by themselves.
-    fn without_contour(
+    pub(crate) fn without_contour(
         &mut self,
         task: &Task<'_>,
         start: &Pose,
@@ -287,7 +298,7 @@ impl Refiner {
         Region { camera_from_object: pose, information, cost, agreement: 0.0, overlap: 1.0, lines: 0, status }
     }
 
-    fn count_colours(&mut self) {
+    pub(crate) fn count_colours(&mut self) {
         let (from, to) = (self.config.colours_from_px, self.config.colours_to_px);
         self.histograms.begin();
         let steps = |reach: f32| (reach.min(to) - from).max(0.0) as usize;

@@ -21,7 +21,7 @@ pub struct Crop {
 
 impl Crop {
     /// The square around the projection of `points_in_object`, `margin` times as wide as the larger side of
-    /// their bounding box (method.md, step 2). `None` when a point lies behind the camera.
+    /// their bounding box (docs/method.md, step 2). `None` when a point lies behind the camera.
     #[must_use]
     pub fn around<'a>(
         points_in_object: impl IntoIterator<Item = &'a Point3<f64>>,

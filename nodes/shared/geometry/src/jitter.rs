@@ -3,7 +3,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 
-/// Random perturbation of a pose, in the camera's axes (method.md, "Views" and "Synthetic pre-training").
+/// Random perturbation of a pose, in the camera's axes (docs/method.md, "Views" and "Synthetic pre-training").
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Jitter {
     /// Standard deviation of each Euler angle, radians.

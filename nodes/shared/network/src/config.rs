@@ -32,7 +32,7 @@ pub struct NetworkConfig {
 }
 
 impl NetworkConfig {
-    /// The configuration of the paper: RAFT Basic at 256 px, 12 and 24 iterations (method.md, Flow).
+    /// The configuration of the paper: RAFT Basic at 256 px, 12 and 24 iterations (docs/method.md, Flow).
     pub fn paper() -> Self {
         Self::preset("paper", Architecture::Basic, 256, 12, 24)
     }

@@ -113,7 +113,7 @@ fn cuda(number: Option<u16>) -> Result<OpenDevice> {
 fn not_compiled(asked: ComputeDevice, feature: &str) -> NetworkError {
     let problem = format!(
         "is not part of this binary; build it with `cargo build --release --features {feature}`, or use `cpu` \
-         (README, \"On a GPU\")"
+         (docs/gpu.md)"
     );
     NetworkError::Device { device: asked.to_string(), problem }
 }

@@ -1,4 +1,4 @@
-//! The supervised sequence loss of RAFT on synthetic pairs (method.md, "Synthetic pre-training").
+//! The supervised sequence loss of RAFT on synthetic pairs (docs/method.md, "Synthetic pre-training").
 
 use crate::error::{NetworkError, Result};
 use crate::ops;

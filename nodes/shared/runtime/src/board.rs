@@ -64,6 +64,10 @@ pub(crate) enum Word {
     Beat = 12,
     /// The frame that it works on, plus one; 0 while it waits.
     At = 13,
+    /// CPU time of the process before it was ready, all its lives and threads, ns.
+    StartCpuNs = 14,
+    /// CPU time of the process since it was ready, all its lives and threads, ns.
+    CpuNs = 15,
 }
 
 /// Where a node stands.

@@ -10,6 +10,7 @@ pub mod files;
 pub mod graph;
 mod histogram;
 mod ipc;
+pub mod local;
 mod node;
 mod plan;
 mod registry;

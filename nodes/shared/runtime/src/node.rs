@@ -31,26 +31,36 @@ pub struct PortSpec {
     /// Inputs only: not joined by frame; the newest message that has come is there with every frame, none before
     /// the first. Such a port may close a cycle that the graph declares as `feedback`.
     pub latest: bool,
+    /// `latest` inputs only: none is given up for a newer one. All that have come since the last frame are there:
+    /// [`Inputs::late`].
+    pub queued: bool,
 }
 
 impl PortSpec {
     /// A port that carries `M` and must be connected.
     #[must_use]
     pub const fn required<M: Message>(name: &'static str) -> Self {
-        Self { name, message: M::TYPE_NAME, required: true, latest: false }
+        Self { name, message: M::TYPE_NAME, required: true, latest: false, queued: false }
     }
 
     /// A port that carries `M` and may stay open.
     #[must_use]
     pub const fn optional<M: Message>(name: &'static str) -> Self {
-        Self { name, message: M::TYPE_NAME, required: false, latest: false }
+        Self { name, message: M::TYPE_NAME, required: false, latest: false, queued: false }
     }
 
     /// An input that carries `M`, may stay open, and is not joined by frame: [`Inputs::bytes`] gives the newest
     /// message that has come. Its producer need not send one per frame.
     #[must_use]
     pub const fn latest<M: Message>(name: &'static str) -> Self {
-        Self { name, message: M::TYPE_NAME, required: false, latest: true }
+        Self { name, message: M::TYPE_NAME, required: false, latest: true, queued: false }
+    }
+
+    /// An input that carries `M`, may stay open, and is not joined by frame: [`Inputs::late`] gives all messages that have
+    /// come since the last frame, each with the frame that it belongs to.
+    #[must_use]
+    pub const fn late<M: Message>(name: &'static str) -> Self {
+        Self { name, message: M::TYPE_NAME, required: false, latest: true, queued: true }
     }
 }
 
@@ -173,8 +183,22 @@ pub trait Node: Sized {
 pub trait Inputs {
     /// The frame.
     fn key(&self) -> FrameKey;
+    /// Nanoseconds of real time since the frame came to its source, or was due (a recording played live). For what is
+    /// measured or abandoned in live mode; nothing that replay must repeat may depend on it.
+    fn age_ns(&self) -> u64 {
+        0
+    }
     /// The message that came by a port; `None` when the graph leaves the port open.
     fn bytes(&self, port: &str) -> Option<&[u8]>;
+    /// Of a [`PortSpec::late`] input: what has come since the last frame, in order of coming, each with the frame that it
+    /// belongs to. After a death a message may come twice.
+    fn late(&self, port: &str) -> Vec<(FrameKey, &[u8])> {
+        self.bytes(port).map(|bytes| (self.key(), bytes)).into_iter().collect()
+    }
+    /// Whether the graph gives a port a producer.
+    fn is_connected(&self, port: &str) -> bool {
+        self.bytes(port).is_some()
+    }
 }
 
 /// Where a node's messages go.

@@ -22,6 +22,10 @@ pub(crate) struct PlannedNode {
     pub(crate) name: String,
     pub(crate) config: serde_yaml::Value,
     pub(crate) kind: Kind,
+    /// How much its process stands back.
+    pub(crate) nice: u8,
+    /// Threads of its own work.
+    pub(crate) threads: Option<u16>,
     /// Whether a frame is done only when this node has handled it: the end of a line.
     pub(crate) acknowledges: bool,
     pub(crate) inputs: Vec<PlannedInput>,
@@ -35,6 +39,8 @@ pub(crate) struct PlannedInput {
     /// The producer's port.
     pub(crate) output: String,
     pub(crate) latest: bool,
+    /// As [`PortSpec::queued`].
+    pub(crate) queued: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -53,8 +59,9 @@ impl PlannedOutput {
 }
 
 impl Plan {
-    /// Resolves a graph, after checking its wiring (not the nodes' configurations).
+    /// Resolves a graph, its parameters too, after checking its wiring (not the nodes' configurations).
     pub(crate) fn new(graph: &Graph, registry: &Registry) -> Result<Self, GraphError> {
+        let graph = &graph.resolved().map_err(GraphError::Problems)?;
         crate::graph::check_wiring(graph, registry).map_err(GraphError::Problems)?;
         let wiring = Wiring::new(graph, registry);
         let nodes: Vec<_> = wiring.nodes.iter().enumerate().map(|(i, _)| wiring.plan(i)).collect();
@@ -179,7 +186,9 @@ impl<'a> Wiring<'a> {
             Role::Sink | Role::ReplaySource | Role::LiveSource => true,
             Role::Transform => {
                 let mut out = edges.iter().filter(|edge| edge.from == node).peekable();
-                out.peek().is_some() && out.all(|edge| self.is_feedback(edge))
+                // In live mode nobody waits for what may come at any time.
+                let late = |edge: &Edge| edge.input.queued && self.graph.mode == Mode::Live;
+                out.peek().is_some() && out.all(|edge| self.is_feedback(edge) && !late(edge))
             }
         };
         joins && ends
@@ -200,6 +209,7 @@ impl<'a> Wiring<'a> {
             producer: edge.from,
             output: edge.output.port.clone(),
             latest: edge.input.latest,
+            queued: edge.input.queued,
         });
         let to = |port: &PortSpec, latest: bool| {
             let goes = |e: &&Edge| e.from == node && e.sends.name == port.name && e.input.latest == latest;
@@ -213,6 +223,8 @@ impl<'a> Wiring<'a> {
         PlannedNode {
             name: wired.name.to_owned(),
             config: wired.spec.config.clone(),
+            nice: wired.spec.nice,
+            threads: wired.spec.threads,
             acknowledges: self.acknowledges(node),
             inputs: inputs.collect(),
             outputs: outputs.collect(),

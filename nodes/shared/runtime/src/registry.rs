@@ -1,3 +1,4 @@
+use crate::local::{self, HeldNode};
 use crate::runner::{self, RunError};
 use crate::{Node, PortSpec, Role};
 use indexmap::IndexMap;
@@ -23,7 +24,11 @@ pub(crate) struct Kind {
     /// Optional inputs that a configuration needs; none of one that cannot be read.
     pub(crate) needs: fn(&Value) -> Vec<&'static str>,
     pub(crate) run: fn(&runner::Launch) -> Result<(), RunError>,
+    /// Makes the node to be held in this process.
+    pub(crate) hold: Hold,
 }
+
+type Hold = fn(&Value, &crate::Context) -> Result<Box<dyn HeldNode>, (String, String)>;
 
 /// A configuration that a node cannot take.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -41,7 +46,7 @@ impl Registry {
     }
 
     /// Adds a kind. A kind of the same name is replaced.
-    pub fn add<N: Node>(&mut self) -> &mut Self {
+    pub fn add<N: Node + 'static>(&mut self) -> &mut Self {
         let position = self.kinds.get_index_of(N::KIND).unwrap_or(self.kinds.len());
         let kind = Kind {
             name: N::KIND,
@@ -53,6 +58,7 @@ impl Registry {
             check: |value| check_config::<N>(value),
             needs: |value| read_config::<N>(value).map_or_else(|_| Vec::new(), |config| N::needs(&config)),
             run: runner::run::<N>,
+            hold: local::hold::<N>,
         };
         self.kinds.insert(N::KIND, kind);
         self
@@ -60,7 +66,7 @@ impl Registry {
 
     /// As [`Registry::add`], to be chained.
     #[must_use]
-    pub fn with<N: Node>(mut self) -> Self {
+    pub fn with<N: Node + 'static>(mut self) -> Self {
         self.add::<N>();
         self
     }

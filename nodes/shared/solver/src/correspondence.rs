@@ -57,8 +57,11 @@ pub struct FlowField<'a> {
     pub camera_from_object: Pose,
 }
 
-/// Flow that is seen and right with a smaller probability is no correspondence: it is hidden, or as good as guessed.
+/// Flow that is seen and right with a smaller probability is left out: it is hidden, or as good as guessed.
 const LEAST_CERTAINTY: f32 = 0.25;
+/// But the surest part of the surface, this large, always takes part: a network that doubts everything in a strange picture
+/// still doubts the right things most, and RANSAC decides.
+const LEAST_SHARE: f64 = 0.3;
 
 impl FlowField<'_> {
     /// # Errors
@@ -77,14 +80,36 @@ impl FlowField<'_> {
         }
     }
 
-    /// Whether pixel `i` is a foreground pixel with depth and a finite flow of which the network is sure enough.
-    fn is_usable(&self, i: usize) -> bool {
+    /// Whether pixel `i` is a foreground pixel with depth and a finite flow.
+    fn is_surface(&self, i: usize) -> bool {
         let depth = self.depth_m[i];
         let [dx, dy] = [self.flow_px[2 * i], self.flow_px[2 * i + 1]];
-        let sure = self
-            .certainty
-            .is_none_or(|[seen, right]| f32::from(seen[i]) * f32::from(right[i]) >= LEAST_CERTAINTY * 255.0 * 255.0);
-        sure && self.mask[i] != 0 && depth > 0.0 && depth.is_finite() && dx.is_finite() && dy.is_finite()
+        self.mask[i] != 0 && depth > 0.0 && depth.is_finite() && dx.is_finite() && dy.is_finite()
+    }
+
+    /// 255 times the probability that the surface point is seen and its flow right; 255 where the network does not say.
+    fn sureness(&self, i: usize) -> usize {
+        self.certainty.map_or(255, |[seen, right]| usize::from(seen[i]) * usize::from(right[i]) / 255)
+    }
+
+    /// Whether pixel `i` gives a correspondence, if [`Self::sureness`] must reach `least`.
+    fn is_usable(&self, i: usize, least: usize) -> bool {
+        self.is_surface(i) && self.sureness(i) >= least
+    }
+
+    /// What [`Self::sureness`] must reach: [`LEAST_CERTAINTY`], or less where less than [`LEAST_SHARE`] of the surface does.
+    fn least_sureness(&self) -> usize {
+        let mut counts = [0_usize; 256];
+        (0..self.mask.len()).filter(|&i| self.is_surface(i)).for_each(|i| counts[self.sureness(i)] += 1);
+        let enough = (LEAST_SHARE * counts.iter().sum::<usize>() as f64).ceil() as usize;
+        let wanted = (LEAST_CERTAINTY * 255.0) as usize;
+        let mut reached: usize = counts[wanted..].iter().sum();
+        let lower = (0..wanted).rev().take_while(|&least| {
+            let short = reached < enough;
+            reached += counts[least];
+            short
+        });
+        lower.last().unwrap_or(wanted)
     }
 }
 
@@ -103,7 +128,7 @@ impl PixelBuffer {
     }
 
     /// The correspondences of a flow field: each foreground pixel of the reference with depth and a finite flow that is sure
-    /// enough gives its surface point and `pixel + flow` (method.md, step 5). When there are more than `max_points`, that many are
+    /// enough (or among the surest) gives its surface point and `pixel + flow` (docs/method.md, step 5). When there are more than `max_points`, that many are
     /// taken evenly in row order.
     ///
     /// # Errors
@@ -112,13 +137,14 @@ impl PixelBuffer {
         field.check()?;
         self.points_in_object.clear();
         self.pixels.clear();
-        let all = (0..field.mask.len()).filter(|&i| field.is_usable(i)).count();
+        let least = field.least_sureness();
+        let all = (0..field.mask.len()).filter(|&i| field.is_usable(i, least)).count();
         let kept = all.min(max_points);
         let rays = Rays::new(&field.intrinsics, &field.camera_from_object);
         let mut seen = 0;
         for (row, y) in (0..field.size_px).map(|y| (y * field.size_px, y)) {
             for x in 0..field.size_px {
-                if !field.is_usable(row + x) {
+                if !field.is_usable(row + x, least) {
                     continue;
                 }
                 if is_kept(seen, all, kept) {
@@ -198,9 +224,17 @@ mod tests {
     fn flow_that_the_network_is_not_sure_of_is_left_out() {
         let (depth, mask, flow) = (vec![0.7; 64], vec![1; 64], vec![0.0; 128]);
         let (mut seen, mut right) = (vec![0; 64], vec![255; 64]);
-        (seen[5], seen[6], seen[7], right[7]) = (255, 100, 255, 20);
-        let field = FlowField { certainty: Some([&seen, &right]), ..field(&depth, &mask, &flow) };
-        assert_eq!(PixelBuffer::new().fill(&field, 1000).unwrap().pixels, [[5.0, 0.0], [6.0, 0.0]]);
+        seen[..30].fill(255);
+        (seen[31], seen[32], right[32]) = (100, 255, 20);
+        let sure = FlowField { certainty: Some([&seen, &right]), ..field(&depth, &mask, &flow) };
+        let pixels = PixelBuffer::new().fill(&sure, 1000).unwrap().pixels.len();
+        assert_eq!(pixels, 31, "thirty sure ones and one that is sure enough");
+        // Sure of nothing: the surest third.
+        let doubts: Vec<u8> = (0..64).map(|i| if i % 3 == 0 { 40 } else { 10 }).collect();
+        let unsure = FlowField { certainty: Some([&doubts, &right]), ..sure };
+        let used = PixelBuffer::new().fill(&unsure, 1000).unwrap().pixels.len();
+        assert!(used == 21 || used == 22, "{used}");
+        let field = sure;
         let short = FlowField { certainty: Some([&seen[1..], &right]), ..field };
         assert!(matches!(PixelBuffer::new().fill(&short, 9), Err(PnpError::Plane { plane: "certainty", .. })));
     }

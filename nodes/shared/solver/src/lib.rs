@@ -1,4 +1,4 @@
-//! Poses from points and the pixels that see them (paper, section 3.1 and the end of 4.1; method.md, pipeline step 5).
+//! Poses from points and the pixels that see them (paper, section 3.1 and the end of 4.1; docs/method.md, pipeline step 5).
 //!
 //! [`Solver`] finds the pose that explains most correspondences: P3P or EPnP in RANSAC, then Levenberg-Marquardt under
 //! Tukey's loss. [`JointSolver`] joins flow, contour and rough pose in one cost. [`PixelBuffer`] makes correspondences of a flow field on a rendering.

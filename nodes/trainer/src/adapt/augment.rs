@@ -1,4 +1,4 @@
-//! Colour changes of the crop that the student sees (method.md, "Student augmentation"): colour only, so that the
+//! Colour changes of the crop that the student sees (docs/method.md, "Student augmentation"): colour only, so that the
 //! teacher's flow stays its label. Blur and noise are the paper's for a crop of 256 px; a smaller one has them as if it had
 //! been made smaller afterwards.
 

@@ -107,7 +107,7 @@ fn yes() -> bool {
     true
 }
 
-/// Where nano's labels agree with the true flow, pixels (tables in the README).
+/// Where nano's labels agree with the true flow, pixels (tables in docs/results).
 const LABEL_PX: u32 = 256;
 
 /// Width and height of the teacher's crops, pixels: as given, else [`LABEL_PX`], or those of the student where they are larger.

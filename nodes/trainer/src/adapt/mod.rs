@@ -1,4 +1,4 @@
-//! Self-supervised training of a student by its own moving average (paper, section "Overall framework"; method.md,
+//! Self-supervised training of a student by its own moving average (paper, section "Overall framework"; docs/method.md,
 //! "Self-supervision"): labels from the teacher's flows where the views agree, and a photometric loss between real
 //! images. No truth can get here: what comes in are rendered views, real crops and flows.
 //!

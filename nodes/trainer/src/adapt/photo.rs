@@ -1,4 +1,4 @@
-//! The photometric loss between real images (paper, section "Flow-guided photometric consistency"; method.md, L_photo).
+//! The photometric loss between real images (paper, section "Flow-guided photometric consistency"; docs/method.md, L_photo).
 //!
 //! Both images are warped onto the rendered view 0: the partner's by the teacher's flow, which is fixed, the sample's by
 //! the student's. They are compared by a ternary census of 7 x 7 pixels (Meister et al., UnFlow, AAAI 2018): with d the

@@ -1,4 +1,4 @@
-//! Training of the initializer's network on synthetic scenes (method.md, pipeline step 1).
+//! Training of the initializer's network on synthetic scenes (docs/method.md, pipeline step 1).
 //!
 //! A run is a function of its [`InitializerTraining`]: neither threads nor interruptions change the weights.
 

@@ -22,7 +22,7 @@ pub struct SynthConfig {
     pub visible_min: f64,
     /// Kinds of jitter from truth to reference pose; one is drawn for each sample.
     pub jitter: Vec<JitterConfig>,
-    /// Range of the crop's side over the larger side of the projection (method.md, step 2).
+    /// Range of the crop's side over the larger side of the projection (docs/method.md, step 2).
     pub crop_margin: [f64; 2],
     /// Pairs that one scene serves: same objects and light, other reference poses, crops and cameras.
     pub pairs_per_scene: usize,
@@ -190,7 +190,7 @@ pub struct JitterConfig {
     pub spread: Spread,
 }
 
-/// The largest angle between reference and truth with normal jitter, degrees (method.md).
+/// The largest angle between reference and truth with normal jitter, degrees (docs/method.md).
 pub const MAX_JITTER_DEG: f64 = 45.0;
 
 impl JitterConfig {
@@ -215,7 +215,7 @@ impl JitterConfig {
 
 impl Default for SynthConfig {
     /// For one refiner of all objects: a fifth of the pairs with any rotation up to 90 deg and half a diameter in depth,
-    /// the jitter of method.md (15 deg, 15 mm, 50 mm for objects of about 0.2 m), that of rough initial poses, and a
+    /// the jitter of docs/method.md (15 deg, 15 mm, 50 mm for objects of about 0.2 m), that of rough initial poses, and a
     /// small one for the second pass.
     fn default() -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! Synthetic pairs for pre-training (method.md, "Synthetic pre-training").
+//! Synthetic pairs for pre-training (docs/method.md, "Synthetic pre-training").
 //!
 //! A pair is what the flow network sees at run time: the reference, rendered at a wrong pose with the rasteriser of
 //! the renderer node, and the crop of a camera's image at the same place. The camera's image is imitated at the

@@ -1,4 +1,4 @@
-//! Synthetic images of whole scenes, for the initializer (method.md, pipeline step 1).
+//! Synthetic images of whole scenes, for the initializer (docs/method.md, pipeline step 1).
 
 use super::config::{CameraConfig, LookConfig};
 use super::photo::PhotoBank;

@@ -13,9 +13,6 @@ const GRAPH: &str = include_str!("../../../../../config/graphs/adapt.yaml");
 pub(super) const LABELS: &str = "labels";
 const PICTURES: u64 = 12;
 
-/// Steps between two publications of the teacher.
-const PUBLISH_EVERY: u64 = 10;
-
 /// Steps that the checkpoint in a folder has behind it; 0 without one.
 pub(super) fn steps_taken(folder: &Path, repeats: u64) -> Result<u64> {
     let path = folder.join(CHECKPOINT);
@@ -32,59 +29,40 @@ pub(super) fn graph(args: &Args, folder: &Path, first_step: u64) -> Result<Graph
     let (samples, first) = ((args.steps - first_step) * args.batch, first_step * args.batch);
     let (topic, file) = initial_poses(args);
     let network = serde_json::to_value(super::super::export::network(&args.network)?)?;
-    let lockstep = json!({"frames_per_step": args.batch, "publish_every": PUBLISH_EVERY, "first_step": first_step});
     let settings = [
         ("seed", json!(args.seed)),
         ("window", json!((3 * args.batch).clamp(8, 64))),
-        ("player.source", json!(args.bags[0])),
+        ("source", json!(args.bags[0])),
+        ("objects", json!(args.objects)),
+        ("weights", json!(args.weights)),
+        ("network", network),
+        ("device", json!(args.device)),
+        ("size_px", json!(args.label_px())),
+        ("views", json!(args.views)),
+        ("frames_per_step", json!(args.batch)),
+        ("first_step", json!(first_step)),
+        ("first_frame", json!(first)),
+        ("out", json!(folder)),
         ("player.also", json!(args.bags[1..])),
-        ("player.objects", json!(args.objects)),
         ("player.only_objects", json!(args.only_objects)),
         ("player.initial_poses", json!({"topic": topic, "file": file})),
         ("player.sampling.samples", json!(samples)),
-        ("player.sampling.first", json!(first)),
         ("player.sampling.partners", json!(args.partners)),
         ("player.sampling.held_out_every", json!(args.held_out_every)),
         ("player.sampling.budget_frames", json!(args.budget_frames)),
-        ("look.objects", json!(args.objects)),
-        ("look.size_px", json!(args.label_px())),
-        ("look.first_frame", json!(first)),
-        ("look_flow.model", json!(args.weights)),
-        ("look_flow.device", json!(args.device)),
-        ("look_flow.network", network.clone()),
-        ("look_flow.size_px", json!(args.label_px())),
-        ("look_flow.lockstep", lockstep.clone()),
-        ("pnp.first_frame", json!(first)),
-        ("renderer.objects", json!(args.objects)),
-        ("renderer.size_px", json!(args.label_px())),
-        ("renderer.views", json!(args.views)),
-        ("renderer.first_frame", json!(first)),
-        ("flow.model", json!(args.weights)),
-        ("flow.device", json!(args.device)),
-        ("flow.network", network.clone()),
-        ("flow.size_px", json!(args.label_px())),
-        ("flow.lockstep", lockstep),
         ("consistency.tau_px_at_256", json!(args.tau)),
         ("consistency.label", json!(args.label)),
         ("consistency.accept_all", json!(args.accept_all_labels)),
         ("consistency.picture_every", json!((samples / PICTURES).max(1))),
         ("consistency.pictures", json!(folder.join(LABELS))),
-        ("trainer.weights", json!(args.weights)),
-        ("trainer.device", json!(args.device)),
-        ("trainer.network", network),
-        ("trainer.size_px", json!(args.label_px())),
         ("trainer.student_px", json!(args.size)),
         ("trainer.steps", json!(args.steps)),
-        ("trainer.first_step", json!(first_step)),
-        ("trainer.frames_per_step", json!(args.batch)),
         ("trainer.repeats", json!(args.repeats)),
-        ("trainer.publish_every", json!(PUBLISH_EVERY)),
         ("trainer.max_lr", json!(args.max_lr)),
         ("trainer.ema_alpha", json!(args.ema)),
         ("trainer.keep_every", json!(args.keep_every)),
         ("trainer.flow_weight", json!(args.flow_weight)),
         ("trainer.photo_weight", json!(args.photo_weight)),
-        ("trainer.out", json!(folder)),
     ];
     for (key, value) in settings {
         graph.set(key, &value.to_string())?;

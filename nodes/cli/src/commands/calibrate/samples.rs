@@ -1,10 +1,11 @@
 //! Refinements of synthetic images with what became of them.
 
+use super::starts::draw_start;
 use crate::pipeline::{Frame, Pipeline};
 use anyhow::{Context as _, Result};
 use nalgebra::Vector6;
 use pseudoflow_evaluator::EvalModel;
-use pseudoflow_geometry::{Crop, Jitter, Pose, quaternion_xyzw};
+use pseudoflow_geometry::{Crop, Pose, quaternion_xyzw};
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View};
 use pseudoflow_imaging::{Object, ObjectSet, RgbImage};
 use pseudoflow_metrics::{MatrixPose, add_m, adi_m, nearest_symmetric, pose_error};
@@ -62,11 +63,6 @@ impl Sample {
     }
 }
 
-/// Rough poses as they come: weight, degrees about each axis, diameters in x and y, diameters in z. The first is what a network
-/// trained on synthetic images gives (method.md); then wider ones, and those of a second pass.
-const KINDS: [(f64, f64, f64, f64); 4] =
-    [(0.5, 9.0, 0.03, 0.14), (0.2, 15.0, 0.07, 0.2), (0.2, 4.0, 0.015, 0.05), (0.1, 1.5, 0.005, 0.015)];
-const MAX_ANGLE_DEG: f64 = 60.0;
 /// Less visible objects are not looked for (as in the benchmark).
 const MIN_VISIBLE: f64 = 0.1;
 /// Side of the rendering that visible shares are measured with, pixels.
@@ -119,7 +115,7 @@ impl Maker {
             let object = self.objects.get(instance.object_id)?;
             let visible = self.visible_share(&scene, number, object)?;
             if visible >= MIN_VISIBLE {
-                let pose = rough_pose(&instance.camera_from_object, object, &mut rng);
+                let pose = draw_start(&instance.camera_from_object, object.diameter_m, &mut rng);
                 rough.push(given(object.id, number as u32, &pose));
                 truth.push((number as u32, instance.camera_from_object, visible));
             }
@@ -173,22 +169,6 @@ fn add_s_of_diameter(model: &EvalModel, est: &Pose, gt: &Pose) -> f64 {
     let (est, gt): (MatrixPose, MatrixPose) = ((*est).into(), (*gt).into());
     let error_m = if model.symmetric { adi_m(&model.points, &est, &gt) } else { add_m(&model.points, &est, &gt) };
     error_m / model.diameter_m
-}
-
-fn rough_pose(truth: &Pose, object: &Object, rng: &mut ChaCha8Rng) -> Pose {
-    let mut left: f64 = rng.random();
-    let kind = KINDS.iter().find(|(weight, ..)| {
-        left -= weight;
-        left < 0.0
-    });
-    let (_, angle_deg, xy, z) = *kind.unwrap_or(&KINDS[0]);
-    let jitter = Jitter {
-        angle_rad: angle_deg.to_radians(),
-        max_angle_rad: MAX_ANGLE_DEG.to_radians(),
-        xy_m: xy * object.diameter_m,
-        z_m: z * object.diameter_m,
-    };
-    jitter.sample(truth, rng)
 }
 
 /// A third of the images have other colours than the meshes would make: paler or stronger, darker or brighter, tinted.
@@ -274,8 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn rough_poses_are_of_all_kinds() {
-        assert!((KINDS.iter().map(|k| k.0).sum::<f64>() - 1.0).abs() < 1e-12);
+    fn a_third_of_the_images_are_faded() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut image = RgbImage::from_pixel(4, 4, image::Rgb([200, 100, 50]));
         let changed = (0..100).filter(|_| {

@@ -3,7 +3,7 @@
 //! [`Rasteriser`] is the interface that the software rasteriser here and the GPU rasteriser of
 //! `pseudoflow-renderer` share. Both sample pixel (x, y) exactly at (x, y) in K' coordinates, draw triangles from
 //! both sides (those seen from behind on closed meshes are hidden anyway and are skipped), clip at [`NEAR_M`] and
-//! shade with [`Headlight`] on [`crate::BACKGROUND_GREY`] (method.md, step 3). Colours are computed in
+//! shade with [`Headlight`] on [`crate::BACKGROUND_GREY`] (docs/method.md, step 3). Colours are computed in
 //! sRGB-encoded values.
 
 mod coverage;

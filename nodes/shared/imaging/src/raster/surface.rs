@@ -23,7 +23,7 @@ pub trait Shader: Sync {
     fn shade(&self, surface: &Surface) -> [f32; 3];
 }
 
-/// Ambient light and one light at the camera: the shading of reference views (method.md, step 3).
+/// Ambient light and one light at the camera: the shading of reference views (docs/method.md, step 3).
 ///
 /// `colour = albedo * (ambient + headlight * max(0, normal . to_camera))`. By default 0.6 and 0.4, so that a
 /// surface seen frontally shows its texture as it is and one seen edge-on keeps 60 %.

@@ -1,4 +1,4 @@
-//! The initializer's network (method.md, pipeline step 1; Hu et al., "Wide-Depth-Range 6D Object Pose Estimation in
+//! The initializer's network (docs/method.md, pipeline step 1; Hu et al., "Wide-Depth-Range 6D Object Pose Estimation in
 //! Space", CVPR 2021): every location inside an object says which object it is and where the eight corners of its
 //! bounding box project, at three resolutions. Beyond the recipe, it also says which point of the object's surface it shows:
 //! texture tells that from its neighbourhood alone, long before a network has learned to see a whole box. And it gives the upright

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 pub(crate) const FACTOR: usize = 8;
 
 /// `y = 8 A x A^T` per plane: fine pixel i reads coarse position i (h - 1) / (8 h - 1), as the authors' network does
-/// (its trained weights expect it; method.md, prototype).
+/// (its trained weights expect it; docs/method.md, "Which wrong answers look right").
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Upsample;
 

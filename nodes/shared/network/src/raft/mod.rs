@@ -1,4 +1,4 @@
-//! RAFT (Teed and Deng, "RAFT: Recurrent All-Pairs Field Transforms for Optical Flow", ECCV 2020) as method.md,
+//! RAFT (Teed and Deng, "RAFT: Recurrent All-Pairs Field Transforms for Optical Flow", ECCV 2020) as docs/method.md,
 //! "Flow", states it: features of both images, context of the *reference* only, flow from zero, detached between
 //! iterations.
 

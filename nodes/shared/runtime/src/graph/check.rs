@@ -7,7 +7,8 @@ use crate::{PortSpec, Registry, Role};
 /// # Errors
 /// All problems that were found, each with file, node, field and remedy.
 pub fn check(graph: &Graph, registry: &Registry) -> Result<(), Vec<Problem>> {
-    let mut check = Check::of_wiring(graph, registry);
+    let graph = graph.resolved()?;
+    let mut check = Check::of_wiring(&graph, registry);
     check.configurations();
     check.result()
 }
@@ -75,6 +76,14 @@ impl<'a> Check<'a> {
             if self.wiring.nodes[i].kind.is_none() {
                 let (what, remedy) = (format!("no kind of node is called `{kind}`"), one_of(&known));
                 self.report(Some(i), "kind", what, remedy);
+            }
+            let (nice, threads) = (self.wiring.nodes[i].spec.nice, self.wiring.nodes[i].spec.threads);
+            if nice > 19 {
+                self.report(Some(i), "nice", format!("{nice} is out of range"), "take 0 (not at all) to 19".into());
+            }
+            if threads.is_some_and(|threads| !(1..=256).contains(&threads)) {
+                let remedy = "take 1 to 256, or leave it out for all cores".to_owned();
+                self.report(Some(i), "threads", format!("{} is out of range", threads.unwrap_or(0)), remedy);
             }
         }
     }

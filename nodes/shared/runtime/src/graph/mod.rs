@@ -2,7 +2,9 @@
 //! strict types; checked against a [`Registry`](crate::Registry) before anything starts.
 
 mod check;
+mod draw;
 mod overrides;
+mod params;
 mod problem;
 mod schema;
 #[cfg(test)]
@@ -10,6 +12,7 @@ mod tests;
 
 pub use check::check;
 pub(crate) use check::check_wiring;
+pub use draw::mermaid;
 pub use problem::{GraphError, Problem};
 pub use schema::schema;
 
@@ -59,6 +62,10 @@ pub struct Graph {
     /// Outputs (`node/port`) whose way back to an earlier node's `latest` input is meant.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub feedback: Vec<PortRef>,
+    /// Values that nodes use as `$name`; without a value where a run must give one.
+    #[serde(default, skip_serializing_if = "IndexMap::is_empty")]
+    #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
+    pub params: IndexMap<String, serde_yaml::Value>,
     /// The nodes by name.
     pub nodes: IndexMap<String, NodeSpec>,
     /// Where the graph was read from, for messages.
@@ -75,6 +82,14 @@ pub struct NodeSpec {
     /// Input port: the output (`node/port`) that feeds it.
     #[serde(default, skip_serializing_if = "IndexMap::is_empty")]
     pub inputs: IndexMap<String, PortRef>,
+    /// How much it stands back behind other processes of the computer, 0 to 19 (nice): more for what may take its time.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(max = 19))]
+    pub nice: u8,
+    /// Threads of its own work (not of its inference engine, which `engine.threads` counts); without: as many as cores.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = 256))]
+    pub threads: Option<u16>,
     /// The kind's own configuration. Paths are relative to the working directory.
     #[serde(default = "empty_config")]
     #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
@@ -90,6 +105,10 @@ pub struct PortRef {
     pub node: String,
     /// Name of its output.
     pub port: String,
+}
+
+fn is_zero(nice: &u8) -> bool {
+    *nice == 0
 }
 
 fn default_seed() -> u64 {
@@ -112,7 +131,7 @@ impl Graph {
     /// Reads a graph from a file.
     ///
     /// # Errors
-    /// When the file cannot be read, is no YAML, or has unknown or missing keys.
+    /// When the file cannot be read, is no YAML, has unknown or missing keys, or a parameter that nothing uses.
     pub fn read(path: &Path) -> Result<Self, GraphError> {
         let text =
             std::fs::read_to_string(path).map_err(|source| GraphError::Read { file: path.to_owned(), source })?;
@@ -132,7 +151,10 @@ impl Graph {
             source: error.into_inner(),
         })?;
         graph.file = file.to_owned();
-        Ok(graph)
+        match graph.unused_params() {
+            unused if unused.is_empty() => Ok(graph),
+            unused => Err(GraphError::Problems(unused)),
+        }
     }
 
     /// The graph as YAML, overrides included.

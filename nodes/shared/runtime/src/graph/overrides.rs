@@ -2,7 +2,7 @@ use super::{Graph, GraphError};
 use serde_yaml::{Mapping, Value};
 
 impl Graph {
-    /// Overrides a value: `mode`, `seed`, `window`, `restarts`, the deadlines, or `node.key` (deeper with more dots) for a value
+    /// Overrides a value: `mode`, `seed`, `window`, `restarts`, the deadlines, a parameter by its name, or `node.key` (deeper with more dots) for a value
     /// in a node's configuration. The value is read as YAML: `4`, `true`, `[1, 2]`, `some/path`.
     ///
     /// # Errors
@@ -27,12 +27,24 @@ impl Graph {
             "restarts" => self.restarts = read(value)?,
             "frame_deadline_s" => self.frame_deadline_s = Some(read(value)?),
             "start_deadline_s" => self.start_deadline_s = Some(read(value)?),
-            _ => {
-                let keys = "mode, seed, window, restarts, frame_deadline_s, start_deadline_s";
-                return Err(format!("no such key: write {keys} or `node.key`"));
-            }
+            name => match self.params.get_mut(name) {
+                Some(parameter) => *parameter = value,
+                None => return Err(self.no_such_key()),
+            },
         }
         Ok(())
+    }
+
+    fn no_such_key(&self) -> String {
+        let params: Vec<&str> = self.params.keys().map(String::as_str).collect();
+        let of_params = match params.as_slice() {
+            [] => String::new(),
+            [one] => format!(", the parameter {one}"),
+            several => format!(", a parameter ({})", several.join(", ")),
+        };
+        format!(
+            "no such key: write mode, seed, window, restarts, frame_deadline_s, start_deadline_s{of_params} or `node.key`"
+        )
     }
 
     fn set_config(&mut self, node: &str, path: &str, value: Value) -> Result<(), String> {

@@ -26,6 +26,7 @@ fn node_schema(kind: &Kind) -> Value {
     if let Some(object) = config.as_object_mut() {
         object.remove("$schema");
     }
+    allow_parameters(&mut config);
     json!({
         "type": "object",
         "additionalProperties": false,
@@ -38,6 +39,8 @@ fn node_schema(kind: &Kind) -> Value {
                 "required": required,
                 "properties": ports,
             },
+            "nice": { "type": "integer", "minimum": 0, "maximum": 19, "default": 0 },
+            "threads": { "type": "integer", "minimum": 1, "maximum": 256 },
             "config": config,
         }
     })
@@ -56,6 +59,26 @@ fn point_references_at(value: &mut Value, place: &str) {
             }
         }
         Value::Array(values) => values.iter_mut().for_each(|value| point_references_at(value, place)),
+        _ => {}
+    }
+}
+
+/// Wherever a property of a configuration has a type of its own, a parameter (`$name`) may stand in its place.
+fn allow_parameters(schema: &mut Value) {
+    match schema {
+        Value::Object(object) => {
+            object.values_mut().for_each(allow_parameters);
+            let properties = object.get_mut("properties").and_then(Value::as_object_mut);
+            for property in properties.into_iter().flat_map(|p| p.values_mut()) {
+                let mut own = property.take();
+                let description = own.as_object_mut().and_then(|own| own.remove("description"));
+                *property = json!({ "anyOf": [own, { "type": "string", "pattern": "^\\$[{a-zA-Z_]" }] });
+                if let Some(text) = description {
+                    property["description"] = text;
+                }
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(allow_parameters),
         _ => {}
     }
 }

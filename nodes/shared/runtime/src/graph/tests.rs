@@ -284,3 +284,19 @@ fn the_schema_is_the_one_that_was_reviewed() {
     let reviewed = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(schema == reviewed, "the schema changed: look at it, then run with PSEUDOFLOW_BLESS=1\n{schema}");
 }
+
+#[test]
+fn a_graph_is_drawn_with_what_flows_between_its_nodes() {
+    let drawn = mermaid(&parse(GOOD), &registry()).unwrap();
+    for line in [
+        "player([\"player\"])",
+        "refiner[\"refiner\"]",
+        "player -->|frame, poses| refiner",
+        "refiner -->|poses| recorder",
+    ] {
+        assert!(drawn.lines().any(|l| l.trim() == line), "{line} is not in\n{drawn}");
+    }
+    let fed_back = changed("poses: player/poses", "poses: player/poses, hint: player/poses");
+    assert!(mermaid(&parse(&fed_back), &registry()).unwrap().contains("player -.->|poses| refiner"));
+    assert!(mermaid(&parse(&changed("kind: refiner", "kind: refinr")), &registry()).is_err());
+}

@@ -15,7 +15,7 @@ pub(crate) struct Envelope {
     pub(crate) stamp_ns: i64,
     /// When the message was sent, monotonic.
     pub(crate) sent_ns: u64,
-    /// When the source sent the frame, monotonic.
+    /// When the frame came to its source, or was due, monotonic.
     pub(crate) origin_ns: u64,
     /// Not 0 where there is no message: the frame was given up on the way.
     pub(crate) void: u64,

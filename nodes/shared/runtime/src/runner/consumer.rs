@@ -108,6 +108,7 @@ impl<N: Node> Runner<'_, N> {
                 self.refuse(key, &error)?;
             }
         }
+        self.intake.forget_queued();
         self.pass_on(index);
         *next = (*next).max(index + 1);
         Ok(true)

@@ -18,15 +18,17 @@ struct Traffic {
     in_flight: Vec<u64>,
     generations: Vec<u64>,
     ended: bool,
-    /// A recording played as if live: the next frame, and when the last one was due.
+    /// A recording played as if live: the next frame.
     next: u64,
     last: Option<FrameKey>,
+    /// When the frame that waits came (a camera's), or was due (a recording's): its age counts from here.
     due_ns: u64,
     gap_ns: u64,
 }
 
 impl<N: Node> Runner<'_, N> {
-    /// The loop of a source in live mode. A recording (`paced`) plays at the pace of its stamps.
+    /// The loop of a source in live mode. A recording (`paced`) plays at the pace of its stamps, from when every node is
+    /// there: its frames do not pass while somebody still starts.
     pub(super) fn pass_live_frames(&mut self, paced: bool) -> Result<Ending, RunError> {
         self.outputs.hold = true;
         let mut traffic = Traffic { next: self.launch.acknowledged_by_all(), ..Traffic::default() };
@@ -39,8 +41,9 @@ impl<N: Node> Runner<'_, N> {
             if !self.launch.plan.nodes[self.launch.me].inputs.is_empty() {
                 self.take_frames(&mut next)?;
             }
-            let early = paced && self.outputs.frame().is_some() && monotonic_ns() < traffic.due_ns + traffic.gap_ns;
-            let busy = !traffic.ended && !early && self.ask(&mut traffic, paced)?;
+            let early = self.outputs.frame().is_some() && monotonic_ns() < traffic.due_ns + traffic.gap_ns;
+            let waits = paced && (early || !self.launch.board.all_came());
+            let busy = !traffic.ended && !waits && self.ask(&mut traffic, paced)?;
             let sent = self.admit(&mut traffic)?;
             let pause = if busy || sent {
                 Duration::ZERO
@@ -109,10 +112,10 @@ impl<N: Node> Runner<'_, N> {
         if traffic.in_flight.len() as u64 >= plan.window {
             return Ok(false);
         }
-        self.outputs.release().map_err(|e| self.launch.ipc_error(e))?;
+        self.outputs.release(traffic.due_ns).map_err(|e| self.launch.ipc_error(e))?;
         self.links.ring_consumers();
         traffic.in_flight.push(key.index);
-        board.count_frame(*me, now_ns, monotonic_ns(), now_ns);
+        board.count_frame(*me, now_ns, monotonic_ns(), traffic.due_ns);
         Ok(true)
     }
 }

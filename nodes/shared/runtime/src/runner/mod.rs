@@ -38,6 +38,7 @@ use intake::Intake;
 pub(crate) use intake::topic;
 use links::Links;
 use outputs::IpcOutputs;
+pub(crate) use outputs::OutputError;
 use std::path::{Path, PathBuf};
 
 /// Folder within the run's folder for what only the running processes need.
@@ -77,6 +78,17 @@ pub enum RunError {
         node: String,
         /// What failed.
         source: IpcError,
+    },
+    /// A live graph where nodes run one after the other.
+    #[error("a live graph needs a process for each node: write `mode: replay`, or `pseudoflow run`")]
+    LiveInProcess,
+    /// Nobody can go on.
+    #[error("nothing moves any more: {causes}; at most {window} frames are in flight: is `window` large enough?")]
+    Stalled {
+        /// Which nodes wait for what.
+        causes: String,
+        /// Frames in flight.
+        window: u64,
     },
     /// The node itself.
     #[error("node `{node}`: {place}: {cause}")]
@@ -152,8 +164,18 @@ pub(crate) fn run_node(registry: &Registry, name: &str, graph: &Path, run_dir: &
     })?;
     let (board, ipc) = open_run(run_dir)?;
     orphan::die_with(ipc.supervisor)?;
+    stand_back(plan.nodes[me].nice);
     let run = plan.nodes[me].kind.run;
     run(&Launch { plan, me, board, ipc, run_dir: run_dir.to_owned() })
+}
+
+/// Lowers the priority of this process, the threads to come included.
+fn stand_back(nice: u8) {
+    if nice > 0
+        && let Err(error) = rustix::process::nice(i32::from(nice))
+    {
+        log::warn!("`nice: {nice}` could not be had ({error}): this node competes with all others");
+    }
 }
 
 fn open_run(run_dir: &Path) -> Result<(Board, RunIpc), RunError> {
@@ -178,6 +200,8 @@ enum Ending {
 struct Runner<'a, N> {
     launch: &'a Launch,
     context: Context,
+    /// CPU time of this process that is on the board.
+    counted_cpu_ns: u64,
     node: N,
     intake: Intake,
     outputs: IpcOutputs,
@@ -211,7 +235,7 @@ fn connect<N: Node>(launch: &Launch, context: Context, node: N) -> Result<Runner
     let intake = Intake::new(&ipc_node, &launch.plan, launch.me).map_err(error)?;
     let outputs = IpcOutputs::new(&ipc_node, &launch.plan, launch.me).map_err(error)?;
     let links = Links::new(ipc_node, &launch.plan, launch.me).map_err(error)?;
-    Ok(Runner { launch, context, node, intake, outputs, links, complaints: Complaints::default() })
+    Ok(Runner { launch, context, counted_cpu_ns: 0, node, intake, outputs, links, complaints: Complaints::default() })
 }
 
 impl<N: Node> Runner<'_, N> {
@@ -225,8 +249,9 @@ impl<N: Node> Runner<'_, N> {
     }
 
     /// From here on the node gets its frames.
-    fn announce(&self) {
+    fn announce(&mut self) {
         let Launch { board, me, .. } = self.launch;
+        self.count_cpu(Word::StartCpuNs);
         board.set_state(*me, State::Ready);
         board.add(*me, Word::Generation, 1);
         log::info!("{} is ready (start {})", self.context.name, self.context.restarts + 1);
@@ -246,6 +271,7 @@ impl<N: Node> Runner<'_, N> {
         self.launch.beat(None);
         self.launch.board.set_state(self.launch.me, State::Closing);
         self.node.finish(&self.context).map_err(|error| self.launch.node_error("end", &error))?;
+        self.count_cpu(Word::CpuNs);
         if ending == Ending::InOrder {
             self.launch.board.set_state(self.launch.me, State::Finished);
             self.links.ring_consumers();
@@ -267,9 +293,17 @@ impl<N: Node> Runner<'_, N> {
         Ok(())
     }
 
+    /// Puts the CPU time since the last call on the board.
+    fn count_cpu(&mut self, word: Word) {
+        let now_ns = crate::clock::process_cpu_ns();
+        self.launch.board.add(self.launch.me, word, now_ns.saturating_sub(self.counted_cpu_ns));
+        self.counted_cpu_ns = now_ns;
+    }
+
     /// `true` when the process is asked to end.
     fn sleep(&mut self, at_most: std::time::Duration) -> Result<bool, RunError> {
         self.launch.beat(None);
+        self.count_cpu(Word::CpuNs);
         self.outputs.update();
         self.links.sleep(at_most).map_err(|e| self.launch.ipc_error(e))
     }

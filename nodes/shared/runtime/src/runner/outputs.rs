@@ -8,7 +8,7 @@ use pseudoflow_msgs::FrameKey;
 
 /// What a node did with its outputs that nobody could join.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum OutputError {
+pub(crate) enum OutputError {
     #[error("there is no output `{0}`: the node's `outputs()` names all of them")]
     Unknown(String),
     #[error("output `{0}` was sent twice for one frame: send each output once")]
@@ -71,10 +71,10 @@ impl IpcOutputs {
         self.frame
     }
 
-    /// Sends what was held back.
-    pub(super) fn release(&mut self) -> Result<(), IpcError> {
+    /// Sends what was held back: a frame that came, or was due, at `origin_ns`.
+    pub(super) fn release(&mut self, origin_ns: u64) -> Result<(), IpcError> {
         let Some(key) = self.frame.take() else { return Ok(()) };
-        let envelope = envelope(key, monotonic_ns());
+        let envelope = envelope(key, origin_ns);
         for port in &mut self.ports {
             if let Some(loaned) = port.held.take() {
                 loaned.send(Envelope { sent_ns: monotonic_ns(), ..envelope })?;

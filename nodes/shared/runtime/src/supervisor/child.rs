@@ -18,9 +18,17 @@ pub(super) enum Event {
 }
 
 /// Starts a node's process in a group of its own, so that Ctrl-C reaches the supervisor alone.
-pub(super) fn start(command: &[OsString], name: &str, graph: &Path, run_dir: &Path) -> std::io::Result<Child> {
+pub(super) fn start(
+    command: &[OsString],
+    name: &str,
+    threads: Option<u16>,
+    graph: &Path,
+    run_dir: &Path,
+) -> std::io::Result<Child> {
     let (program, arguments) = command.split_first().ok_or(std::io::ErrorKind::InvalidInput)?;
     Command::new(program)
+        // The thread pool of a process is made with its first parallel work and cannot be changed then.
+        .envs(threads.map(|threads| ("RAYON_NUM_THREADS", threads.to_string())))
         .args(arguments)
         .arg(name)
         .arg("--graph")

@@ -12,6 +12,8 @@ use std::path::Path;
 pub struct Summary {
     /// The nodes in the graph's order.
     pub nodes: Vec<NodeSummary>,
+    /// From the start to the source's first frame, seconds.
+    pub startup_s: Option<f64>,
     /// Whether the run was asked to stop before its end.
     pub asked_to_stop: bool,
     /// Nodes that had to be killed when the run was asked to stop: their last frames may be missing.
@@ -53,6 +55,8 @@ pub struct NodeSummary {
     pub work_ms: Option<[f64; 2]>,
     /// Milliseconds from the source to this node's end of the frame: median and 99th percentile.
     pub age_ms: Option<[f64; 2]>,
+    /// CPU milliseconds of all threads of the process: before it was ready, and since.
+    pub cpu_ms: [f64; 2],
     /// Work by the number of objects in a frame, where the node's work depends on it.
     pub by_objects: Vec<ObjectsWork>,
     /// Frames given up for newer ones (live only).
@@ -86,7 +90,14 @@ impl Summary {
         let span_ns = times(Word::LastNs).max().unwrap_or(0).saturating_sub(first_ns);
         let of = |(i, node): (usize, &PlannedNode)| NodeSummary::of(&node.name, board, i, span_ns);
         let nodes = nodes.map(of).collect();
-        Self { nodes, asked_to_stop: false, killed: Vec::new(), incidents: Vec::new(), failure: None }
+        let (killed, incidents) = (Vec::new(), Vec::new());
+        Self { nodes, startup_s: None, asked_to_stop: false, killed, incidents, failure: None }
+    }
+
+    /// Adds how long it took from `begin_ns` to the first frame.
+    pub(super) fn since(self, begin_ns: u64, source: usize, board: &Board) -> Self {
+        let first_ns = Some(board.get(source, Word::FirstNs)).filter(|ns| *ns > 0);
+        Self { startup_s: first_ns.map(|ns| ns.saturating_sub(begin_ns) as f64 * 1e-9), ..self }
     }
 
     pub(super) fn write(&self, path: &Path) -> Result<(), SupervisorError> {
@@ -108,6 +119,7 @@ impl NodeSummary {
             busy: (span_ns > 0).then(|| board.get(node, Word::WorkNs) as f64 / span_ns as f64),
             work_ms: both(&|share| board.work_ms(node, share)),
             age_ms: both(&|share| board.age_ms(node, share)),
+            cpu_ms: [Word::StartCpuNs, Word::CpuNs].map(|word| board.get(node, word) as f64 * 1e-6),
             by_objects: by_objects(board, node),
             drops: board.get(node, Word::Drops),
             repeats: board.get(node, Word::Repeats),

@@ -3,6 +3,7 @@
 
 mod live;
 mod liveness;
+mod local;
 mod replay;
 mod scene;
 mod stop;
@@ -48,7 +49,8 @@ fn run_tests() -> ExitCode {
     let mut arguments = Arguments::from_args();
     // Each test is several processes; more than two tests at once only wait for each other.
     arguments.test_threads = arguments.test_threads.or(Some(2));
-    let tests = replay::tests().into_iter().chain(live::tests()).chain(stop::tests()).chain(liveness::tests());
+    let tests = replay::tests().into_iter().chain(local::tests()).chain(live::tests()).chain(stop::tests());
+    let tests = tests.chain(liveness::tests());
     libtest_mimic::run(&arguments, tests.collect()).exit_code()
 }
 

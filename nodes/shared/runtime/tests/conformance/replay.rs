@@ -7,7 +7,7 @@ use rustix::process::Signal;
 const FRAMES: usize = 40;
 
 /// A source with two outputs, two transforms (one joins across a skipped stage), two sinks.
-const GRAPH: &str = "
+pub(crate) const GRAPH: &str = "
 mode: replay
 window: 3
 restarts: 3

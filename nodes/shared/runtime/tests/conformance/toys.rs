@@ -86,6 +86,8 @@ pub(crate) struct Config {
     /// Sources: file whose lines count acknowledged frames; more than `window` ahead of it is an error.
     watch: Option<PathBuf>,
     window: u64,
+    /// Sinks: frames that are held back before they are safe.
+    keep_back: u64,
 }
 
 impl Config {
@@ -132,9 +134,10 @@ fn kill_self() {
 /// Leaves what tests need to find a process and its run.
 fn sign_in(context: &Context) -> Result<(), NodeError> {
     fs::write(context.out_dir.join(format!("{}.pid", context.name)), std::process::id().to_string())?;
-    let seen = context.out_dir.join("ipc_seen.json");
-    if !seen.exists() {
-        fs::copy(context.out_dir.join(".run/ipc.json"), seen)?;
+    let (run, seen) = (context.out_dir.join(".run/ipc.json"), context.out_dir.join("ipc_seen.json"));
+    // Nodes of one process have no such file.
+    if run.exists() && !seen.exists() {
+        fs::copy(run, seen)?;
     }
     Ok(())
 }
@@ -355,6 +358,9 @@ impl Node for Keeper {
         }
         self.config.meet_fate(context, index, Place::After);
         Ok(())
+    }
+    fn safe_until(&self, handled: u64) -> u64 {
+        handled.saturating_sub(self.config.keep_back)
     }
     fn finish(&mut self, context: &Context) -> Result<(), NodeError> {
         self.config.meet_fate(context, 0, Place::Finish);

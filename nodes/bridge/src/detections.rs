@@ -1,0 +1,331 @@
+//! What a detector says about images: it may come late. Each image that went on is remembered for `memory_s`, so that an answer
+//! finds its frame by the stamp; no image waits for one.
+
+use crate::ledger::Ledger;
+use pseudoflow_msgs::ros::{Detection2DArray, Detection3DArray, Header, Naming, object_poses};
+use pseudoflow_msgs::{FrameKey, ObjectPose, Rectangle};
+use std::collections::VecDeque;
+
+/// Most detections of one message that are used, the surest first.
+const MOST_DETECTIONS: usize = 64;
+/// Most answers that wait for their image.
+const MOST_EARLY: usize = 64;
+/// No object is farther away.
+const FARTHEST_M: f64 = 1000.0;
+
+/// An image that went on.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Remembered {
+    pub(crate) key: FrameKey,
+    pub(crate) frame_id: String,
+    pub(crate) size: (u32, u32),
+}
+
+/// The images of the last seconds.
+#[derive(Debug)]
+pub(crate) struct Memory {
+    keep_ns: i64,
+    images: VecDeque<Remembered>,
+}
+
+impl Memory {
+    pub(crate) fn new(keep_s: f64) -> Self {
+        Self { keep_ns: (keep_s * 1e9) as i64, images: VecDeque::new() }
+    }
+
+    pub(crate) fn remember(&mut self, image: Remembered) {
+        let stamp_ns = image.key.stamp_ns;
+        // A clock that jumped back begins anew.
+        self.images.retain(|old| (0..=self.keep_ns).contains(&stamp_ns.saturating_sub(old.key.stamp_ns)));
+        self.images.push_back(image);
+    }
+
+    pub(crate) fn holds(&self, key: FrameKey) -> bool {
+        self.images.iter().any(|image| image.key == key)
+    }
+
+    /// The image of a stamp; why there is none otherwise.
+    fn image(&self, stamp_ns: i64) -> Result<&Remembered, Unmatched> {
+        let newest = self.images.back().map(|image| image.key.stamp_ns);
+        let found = self.images.iter().find(|image| image.key.stamp_ns == stamp_ns);
+        found.ok_or(match newest {
+            Some(newest) if stamp_ns <= newest && newest.saturating_sub(stamp_ns) > self.keep_ns => Unmatched::Old,
+            Some(newest) if stamp_ns <= newest => Unmatched::Never,
+            _ => Unmatched::Early,
+        })
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Unmatched {
+    /// Its image is forgotten.
+    Old,
+    /// No image of its stamp went on.
+    Never,
+    /// Its image has not come yet, if ever.
+    Early,
+}
+
+/// A detector's message.
+pub(crate) trait Answer: Sized {
+    /// What the house makes of one detection.
+    type Found;
+    fn header(&self) -> &Header;
+    fn found(&self, image: &Remembered, naming: &Naming, topic: &str, ledger: &mut Ledger) -> Vec<Self::Found>;
+}
+
+/// Finds the image of each answer.
+#[derive(Debug)]
+pub(crate) struct Matcher<A> {
+    topic: String,
+    early: VecDeque<A>,
+}
+
+impl<A: Answer> Matcher<A> {
+    pub(crate) fn new(topic: String) -> Self {
+        Self { topic, early: VecDeque::new() }
+    }
+
+    pub(crate) fn push(&mut self, answer: A, ledger: &mut Ledger) {
+        self.early.push_back(answer);
+        if self.early.len() > MOST_EARLY && self.early.pop_front().is_some() {
+            ledger.drop(
+                &self.topic,
+                "future",
+                "no image of this stamp has come: stamp detections with their image's stamp",
+            );
+        }
+    }
+
+    /// The next answer whose image is known, with what it says of it.
+    pub(crate) fn take(
+        &mut self,
+        memory: &Memory,
+        naming: &Naming,
+        ledger: &mut Ledger,
+    ) -> Option<(FrameKey, Vec<A::Found>)> {
+        let mut at = 0;
+        while at < self.early.len() {
+            let stamp_ns = self.early[at].header().stamp.as_ns();
+            let matched = memory.image(stamp_ns);
+            if matched == Err(Unmatched::Early) {
+                at += 1;
+                continue;
+            }
+            let answer = self.early.remove(at)?;
+            match matched {
+                Err(Unmatched::Old) => ledger.drop(&self.topic, "late", "its image is older than `camera.memory_s`"),
+                Err(_) => ledger.drop(&self.topic, "stamp", format!("no image has the stamp {stamp_ns} ns")),
+                Ok(image) if answer.header().frame_id != image.frame_id => {
+                    let (theirs, ours) = (&answer.header().frame_id, &image.frame_id);
+                    ledger.drop(&self.topic, "frame_id", format!("`{theirs}` is not the image's frame `{ours}`"));
+                }
+                Ok(image) => return Some((image.key, answer.found(image, naming, &self.topic, ledger))),
+            }
+        }
+        None
+    }
+}
+
+impl Answer for Detection3DArray {
+    type Found = ObjectPose;
+
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn found(&self, _: &Remembered, naming: &Naming, topic: &str, ledger: &mut Ledger) -> Vec<ObjectPose> {
+        let (poses, errors) = object_poses(self, naming);
+        errors.iter().for_each(|error| ledger.drop(topic, error.kind(), error));
+        let usable = poses.into_iter().filter_map(|pose| match usable(pose, naming) {
+            Ok(pose) => Some(pose),
+            Err((kind, cause)) => {
+                ledger.drop(topic, kind, cause);
+                None
+            }
+        });
+        let usable = usable.collect();
+        surest(usable, |pose: &ObjectPose| pose.score, topic, ledger)
+    }
+}
+
+/// The pose with a score in 0..1 and a covariance that is one, or zero.
+fn usable(mut pose: ObjectPose, naming: &Naming) -> Result<ObjectPose, (&'static str, String)> {
+    let name = naming.class_id(pose.object_id);
+    if !naming.is_known(pose.object_id) {
+        return Err(("unknown object", format!("`{name}` is not in the object set")));
+    }
+    let [x, y, z] = pose.translation_m;
+    if !(z > 0.0 && x.abs().max(y.abs()).max(z) < FARTHEST_M) {
+        return Err(("pose", format!("`{name}` at ({x}, {y}, {z}) m cannot be before the camera")));
+    }
+    pose.score = pose.score.clamp(0.0, 1.0);
+    let variances = pose.covariance.iter().step_by(7);
+    if !(pose.covariance.iter().all(|v| v.is_finite()) && variances.into_iter().all(|v| *v >= 0.0)) {
+        pose.covariance = [0.0; 36];
+    }
+    Ok(pose)
+}
+
+fn surest<T>(mut found: Vec<T>, score: impl Fn(&T) -> f64, topic: &str, ledger: &mut Ledger) -> Vec<T> {
+    let excess = found.len().saturating_sub(MOST_DETECTIONS) as u64;
+    if excess > 0 {
+        found.sort_by(|a, b| score(b).total_cmp(&score(a)));
+        found.truncate(MOST_DETECTIONS);
+        ledger.drop_many(topic, "too many", excess, format!("more than {MOST_DETECTIONS} detections in a message"));
+    }
+    found
+}
+
+impl Answer for Detection2DArray {
+    type Found = Rectangle;
+
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn found(&self, image: &Remembered, naming: &Naming, topic: &str, ledger: &mut Ledger) -> Vec<Rectangle> {
+        let read = |detection| rectangle(detection, image.size, naming);
+        let mut found = Vec::new();
+        for detection in &self.detections {
+            match read(detection) {
+                Ok(rectangle) => found.push(rectangle),
+                Err((kind, cause)) => ledger.drop(topic, kind, cause),
+            }
+        }
+        surest(found, |r: &Rectangle| f64::from(r.score), topic, ledger)
+    }
+}
+
+fn rectangle(
+    detection: &pseudoflow_msgs::ros::Detection2D,
+    (width, height): (u32, u32),
+    naming: &Naming,
+) -> Result<Rectangle, (&'static str, String)> {
+    let likeliest =
+        detection.results.iter().map(|r| &r.hypothesis).reduce(|a, b| if b.score > a.score { b } else { a });
+    let said = likeliest.ok_or(("empty", format!("detection `{}` has no results", detection.id)))?;
+    let known = naming.object_id(&said.class_id).filter(|id| naming.is_known(*id));
+    let object_id = known.ok_or(("unknown object", format!("`{}` is not in the object set", said.class_id)))?;
+    if !said.score.is_finite() {
+        return Err(("score", format!("the score of `{}` is {}", said.class_id, said.score)));
+    }
+    let (centre, size) = (detection.bbox.center.position, [detection.bbox.size_x, detection.bbox.size_y]);
+    if !([centre.x, centre.y].iter().chain(&size).all(|v| v.is_finite()) && size.iter().all(|v| *v > 0.0)) {
+        let cause = format!("`{}`: {size:?} pixels about ({}, {}) is no rectangle", said.class_id, centre.x, centre.y);
+        return Err(("rectangle", cause));
+    }
+    let low = |centre: f64, size: f64| (centre - size / 2.0).max(-0.5) as f32;
+    let high = |centre: f64, size: f64, all: u32| (centre + size / 2.0).min(f64::from(all) - 0.5) as f32;
+    let [left, top] = [low(centre.x, size[0]), low(centre.y, size[1])];
+    let [right, bottom] = [high(centre.x, size[0], width), high(centre.y, size[1], height)];
+    if !(right > left && bottom > top) {
+        let cause = format!("`{}` about ({}, {}) lies outside the image", said.class_id, centre.x, centre.y);
+        return Err(("outside", cause));
+    }
+    Ok(Rectangle { object_id, score: said.score.clamp(0.0, 1.0) as f32, left, top, right, bottom })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pseudoflow_msgs::ros::{
+        BoundingBox2D, Detection2D, ObjectHypothesis, ObjectHypothesisWithPose, Point2D, Pose2D, Time,
+    };
+
+    const SECOND: i64 = 1_000_000_000;
+
+    fn header(stamp_ns: i64) -> Header {
+        Header { stamp: Time::from_ns(stamp_ns).unwrap(), frame_id: "optical".into() }
+    }
+
+    fn detection(class_id: &str, x: f64, size: f64, score: f64) -> Detection2D {
+        let hypothesis = ObjectHypothesis { class_id: class_id.into(), score };
+        let center = Pose2D { position: Point2D { x, y: 50.0 }, theta: 0.0 };
+        Detection2D {
+            results: vec![ObjectHypothesisWithPose { hypothesis, ..Default::default() }],
+            bbox: BoundingBox2D { center, size_x: size, size_y: 20.0 },
+            ..Default::default()
+        }
+    }
+
+    fn naming() -> Naming {
+        Naming::new([(5, "cup".to_owned())].into()).unwrap()
+    }
+
+    fn memory() -> Memory {
+        let mut memory = Memory::new(2.0);
+        for i in 0..90 {
+            let key = FrameKey { index: i, stamp_ns: i as i64 * SECOND / 30 };
+            memory.remember(Remembered { key, frame_id: "optical".into(), size: (100, 100) });
+        }
+        memory
+    }
+
+    fn taken(answers: Vec<Detection2DArray>) -> (Vec<(u64, Vec<Rectangle>)>, Ledger) {
+        let (mut ledger, mut matcher) = (Ledger::default(), Matcher::new("/d".into()));
+        answers.into_iter().for_each(|answer| matcher.push(answer, &mut ledger));
+        let all = std::iter::from_fn(|| matcher.take(&memory(), &naming(), &mut ledger));
+        let all = all.map(|(key, found)| (key.index, found)).collect();
+        (all, ledger)
+    }
+
+    #[test]
+    fn an_answer_finds_the_image_of_its_stamp_within_the_memory() {
+        let answer = |stamp_ns| Detection2DArray {
+            header: header(stamp_ns),
+            detections: vec![detection("cup", 50.0, 10.0, 0.5)],
+        };
+        let (found, ledger) =
+            taken(vec![answer(60 * SECOND / 30), answer(0), answer(2 * SECOND + 1), answer(99 * SECOND)]);
+        let rectangle = Rectangle { object_id: 5, score: 0.5, left: 45.0, top: 40.0, right: 55.0, bottom: 60.0 };
+        assert_eq!(found, [(60, vec![rectangle])]);
+        assert_eq!((ledger.count("late"), ledger.count("stamp"), ledger.count("future")), (1, 1, 0));
+        let (_, ledger) = taken(vec![answer(99 * SECOND); 100]);
+        assert_eq!(ledger.count("future"), 36);
+    }
+
+    #[test]
+    fn unusable_rectangles_are_counted_and_named() {
+        let mut detections = vec![
+            detection("cup", 50.0, 10.0, 0.5),
+            detection("5", 98.0, 10.0, 7.0),
+            detection("teapot", 50.0, 10.0, 0.5),
+            detection("7", 50.0, 10.0, 0.5),
+            detection("cup", 500.0, 10.0, 0.5),
+            detection("cup", 50.0, 0.0, 0.5),
+            detection("cup", f64::NAN, 10.0, 0.5),
+            detection("cup", 50.0, 10.0, f64::INFINITY),
+            Detection2D::default(),
+        ];
+        detections.extend((0..1000).map(|_| detection("cup", 50.0, 10.0, 0.1)));
+        let (found, ledger) = taken(vec![Detection2DArray { header: header(2 * SECOND), detections }]);
+        assert_eq!(found[0].1.len(), MOST_DETECTIONS);
+        let first = found[0].1[0];
+        assert_eq!((first.score, first.right), (1.0, 99.5));
+        let counts =
+            ["unknown object", "outside", "rectangle", "score", "empty", "too many"].map(|kind| ledger.count(kind));
+        assert_eq!(counts, [2, 1, 2, 1, 1, 1002 - MOST_DETECTIONS as u64]);
+    }
+
+    #[test]
+    fn poses_that_cannot_be_are_not_taken() {
+        let pose = |z: f64, score: f64, variance: f64| ObjectPose {
+            object_id: 5,
+            instance: 0,
+            status: 0,
+            source: 0,
+            score,
+            rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+            translation_m: [0.0, 0.0, z],
+            covariance: [variance; 36],
+        };
+        assert_eq!(usable(pose(-1.0, 0.5, 0.0), &naming()).unwrap_err().0, "pose");
+        assert_eq!(
+            usable(ObjectPose { object_id: 6, ..pose(1.0, 0.5, 0.0) }, &naming()).unwrap_err().0,
+            "unknown object"
+        );
+        let mended = usable(pose(1.0, 7.0, f64::NAN), &naming()).unwrap();
+        assert_eq!((mended.score, mended.covariance), (1.0, [0.0; 36]));
+    }
+}

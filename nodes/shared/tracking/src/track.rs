@@ -1,0 +1,89 @@
+//! What is known of one object.
+
+use crate::history::{History, Velocity};
+use crate::judge::Evidence;
+use crate::texture::Keyframe;
+use nalgebra::Matrix6;
+use pseudoflow_contour::Colours;
+use pseudoflow_geometry::Pose;
+
+/// Where the tracking of an object stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phase {
+    /// Nothing was ever found, or not confirmed.
+    Searching,
+    /// It is followed, or has been hidden for a short while.
+    Tracking,
+    /// It has not been seen for too long.
+    Lost,
+}
+
+/// One object over time.
+#[derive(Debug, Clone)]
+pub(crate) struct Track {
+    /// Index into the tracker's objects.
+    pub(crate) object: usize,
+    pub(crate) phase: Phase,
+    /// Where it is, or is believed to be; meaningless while nothing was ever found.
+    pub(crate) pose: Pose,
+    pub(crate) known: bool,
+    /// Whether the last frame's pose was measured.
+    pub(crate) measured: bool,
+    pub(crate) confidence: f64,
+    pub(crate) covariance: Matrix6<f64>,
+    pub(crate) velocity: Velocity,
+    pub(crate) colours: Colours,
+    pub(crate) keyframes: Vec<Keyframe>,
+    /// No keyframe is tried before this frame.
+    pub(crate) texture_from: u64,
+    pub(crate) history: History,
+    /// When it was last measured, and how often in a row.
+    pub(crate) seen_ns: i64,
+    pub(crate) good: u32,
+    pub(crate) bad: u32,
+    /// Frames in a row in which it moved as the scene at rest does.
+    pub(crate) at_rest: u32,
+    /// Where those at rest say that it is, when this frame does not show it surely.
+    pub(crate) resting: Option<Pose>,
+    /// Whether it went on elsewhere in this frame.
+    pub(crate) jumped: bool,
+    /// When a look was asked for that has not come back.
+    pub(crate) asked_ns: Option<i64>,
+    /// When a look was last asked for.
+    pub(crate) looked_ns: Option<i64>,
+    /// What the last frame's picture said.
+    pub(crate) evidence: Evidence,
+}
+
+impl Track {
+    pub(crate) fn new(object: usize) -> Self {
+        Self {
+            object,
+            phase: Phase::Searching,
+            pose: Pose::identity(),
+            known: false,
+            measured: false,
+            confidence: 0.0,
+            covariance: Matrix6::zeros(),
+            velocity: Velocity::default(),
+            colours: Colours::default(),
+            keyframes: Vec::new(),
+            texture_from: 0,
+            history: History::default(),
+            seen_ns: 0,
+            good: 0,
+            bad: 0,
+            at_rest: 0,
+            resting: None,
+            jumped: false,
+            asked_ns: None,
+            looked_ns: None,
+            evidence: Evidence::default(),
+        }
+    }
+
+    /// Seconds since it was last measured.
+    pub(crate) fn unseen_s(&self, now_ns: i64) -> f64 {
+        (now_ns - self.seen_ns) as f64 * 1e-9
+    }
+}
