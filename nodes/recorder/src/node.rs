@@ -61,7 +61,6 @@ impl RecorderConfig {
             jpeg_quality: default_quality(),
             overlay: None,
             period_ms: None,
-            max_bytes: None,
             objects: None,
             object: None,
             switch_after_s: default_switch_after_s(),
