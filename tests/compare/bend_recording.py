@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy
+import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -38,6 +39,10 @@ def main(source, target, model, straight=None):
     with AnyReader([Path(source)]) as reader, Writer(
         Path(target), version=9, storage_plugin=StoragePlugin.MCAP
     ) as writer:
+        # What `bag from-bop` keeps: which image of the scene each frame is.
+        metadata = yaml.safe_load((Path(source) / "metadata.yaml").read_text())
+        for key, value in (metadata["rosbag2_bagfile_information"].get("custom_data") or {}).items():
+            writer.set_custom_data(key, value)
         store = reader.typestore
         to = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
         for connection, _, raw in reader.messages():
