@@ -73,6 +73,8 @@ pub(super) struct Control<'a> {
     next_phase_at: Option<Instant>,
     failure: Option<SupervisorError>,
     killed: Vec<String>,
+    /// Whether all nodes were there when the run was asked to stop.
+    had_begun: bool,
     incidents: VecDeque<Incident>,
     watchdog: Watchdog,
     begin: Instant,
@@ -122,6 +124,7 @@ impl<'a> Control<'a> {
             next_phase_at: None,
             failure: None,
             killed: Vec::new(),
+            had_begun: false,
             incidents: VecDeque::new(),
             watchdog: Watchdog::new(Deadlines { frame, start }, plan.nodes.len()),
             begin: Instant::now(),
@@ -295,9 +298,7 @@ impl<'a> Control<'a> {
                 self.options.stop_timeout
             }
             Phase::Running | Phase::Stopping => {
-                if self.failure.is_none() && self.phase == Phase::Stopping {
-                    self.killed = self.living().map(|node| self.plan.nodes[node].name.clone()).collect();
-                }
+                self.had_begun = self.phase == Phase::Stopping;
                 self.phase = Phase::Terminating;
                 self.board.request_stop();
                 self.charges.iter_mut().for_each(|charge| charge.start_at = None);
@@ -306,16 +307,24 @@ impl<'a> Control<'a> {
             }
             Phase::Terminating => {
                 self.phase = Phase::Killing;
-                self.signal_all(Signal::KILL, |state| state != State::Closing);
+                self.kill_all(|state| state != State::Closing);
                 CLOSING_GRACE
             }
             Phase::Killing | Phase::KillingAll => {
                 self.phase = Phase::KillingAll;
-                self.signal_all(Signal::KILL, |_| true);
+                self.kill_all(|_| true);
                 CLOSING_GRACE
             }
         };
         self.next_phase_at = Some(Instant::now() + pause);
+    }
+
+    /// Kills all in such states; who had begun and is no failure's victim is named.
+    fn kill_all(&mut self, which: impl Fn(State) -> bool) {
+        let named = self.had_begun && self.failure.is_none();
+        let killed: Vec<usize> = self.living().filter(|node| named && which(self.board.state(*node))).collect();
+        self.killed.extend(killed.into_iter().map(|node| self.plan.nodes[node].name.clone()));
+        self.signal_all(Signal::KILL, which);
     }
 
     /// Nodes that have a process, or will have one again.

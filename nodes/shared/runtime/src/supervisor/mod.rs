@@ -28,7 +28,8 @@ pub struct Options {
     /// with `node`.
     pub command: Option<Vec<OsString>>,
     /// How long a run may take to end in order once it is asked to stop. Then its nodes are told to close what they keep,
-    /// 300 ms later they are killed; only one that is writing its files by then may finish that.
+    /// 300 ms later they are killed; only one that keeps what would be lost (a recorder) may
+    /// finish that.
     pub stop_timeout: Duration,
     /// Asks the run to stop, as SIGINT and SIGTERM do.
     pub stop: Arc<AtomicBool>,
