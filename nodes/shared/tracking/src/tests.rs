@@ -75,7 +75,7 @@ fn a_moved_object_is_followed_from_a_rough_pose() {
     assert!(tracker.missing().is_empty());
     let seen = step(&mut tracker, 20, &picture(20, false), &[]);
     let pose = seen.estimates[0].camera_from_object;
-    assert!((pose.translation.vector - truth(20).translation.vector).norm() < 0.03 * DIAMETER_M, "{pose}");
+    assert!((pose.translation.vector - truth(20).translation.vector).norm() < 0.05 * DIAMETER_M, "{pose}");
     assert!(rotation_angle_rad(&pose, &truth(20)) < 0.04, "{}", rotation_angle_rad(&pose, &truth(20)));
     assert!(seen.estimates[0].measured && seen.estimates[0].confidence > 0.5, "{:?}", seen.estimates[0]);
 }
@@ -101,7 +101,7 @@ fn what_is_hidden_is_held_and_lost_after_a_while() {
 
 #[test]
 fn what_was_found_earlier_is_carried_to_the_present() {
-    let mut tracker = started(15);
+    let tracker = started(15);
     let mut look = found(9);
     look.camera_from_object = truth(9);
     let before = tracker.tracks[0].pose;
