@@ -79,7 +79,7 @@ fn unknown_keys_and_files_that_are_not_there() {
 #[test]
 fn devices_that_are_not_there_or_no_devices() {
     for (device, words) in [("vulkan:999", "vulkan"), ("cuda:999", "cuda"), ("gpu", "vulkan:N")] {
-        let said = refused(&["bench", "--device", device]);
+        let said = refused(&["bench-device", "--device", device]);
         assert_says(&said, &[&format!("`{device}`"), words]);
         let said = refused(&[
             "pretrain",

@@ -38,7 +38,7 @@ pub(super) fn demosaic(plane: &[u8], width: usize, height: usize, pattern: Patte
             let above = (at(0, 1) + at(2, 1)).div_ceil(2);
             let cross = (at(1, 0) + at(1, 2) + at(0, 1) + at(2, 1) + 2) / 4;
             let corners = (at(0, 0) + at(0, 2) + at(2, 0) + at(2, 2) + 2) / 4;
-            let pixel = match ((x + pattern.red.0) % 2 == 0, (y + pattern.red.1) % 2 == 0) {
+            let pixel = match ((x + pattern.red.0).is_multiple_of(2), (y + pattern.red.1).is_multiple_of(2)) {
                 (true, true) => [own, cross, corners],
                 (false, false) => [corners, cross, own],
                 (false, true) => [beside, own, above],
