@@ -115,8 +115,8 @@ mod tests {
     #[test]
     fn what_is_absent_is_searched_for_less_and_less() {
         let mut patience = Patience::new(SearchConfig { wait_s: 0.5, most_wait_s: 4.0, objects: 1 });
-        let at: Vec<f64> = searches(&mut patience, 20).into_iter().map(|ns| ns as f64 * 1e-9).collect();
-        assert_eq!(at, [0.0, 0.5, 1.5, 3.5, 7.5, 11.5, 15.5, 19.5]);
+        let at_ms: Vec<i64> = searches(&mut patience, 20).into_iter().map(|ns| ns / 1_000_000).collect();
+        assert_eq!(at_ms, [0, 500, 1500, 3500, 7500, 11_500, 15_500, 19_500]);
     }
 
     #[test]

@@ -74,11 +74,11 @@ pub(crate) fn common_motion(bodies: &[Body], camera: &Intrinsics) -> Option<Comm
 
 /// The rigid motion nearest to that of all points of some bodies.
 fn fit<'a>(bodies: impl Iterator<Item = &'a Body>) -> Pose {
-    let points: Vec<(Vector3<f64>, Vector3<f64>)> = bodies.flat_map(Body::points).collect();
+    type Pair = (Vector3<f64>, Vector3<f64>);
+    let points: Vec<Pair> = bodies.flat_map(Body::points).collect();
     let n = points.len().max(1) as f64;
-    let sum =
-        |f: &dyn Fn(&(Vector3<f64>, Vector3<f64>)) -> Vector3<f64>| points.iter().map(f).sum::<Vector3<f64>>() / n;
-    let (from, to) = (sum(&|p| p.0), sum(&|p| p.1));
+    let mean = |of: fn(&Pair) -> Vector3<f64>| points.iter().map(of).sum::<Vector3<f64>>() / n;
+    let (from, to) = (mean(|p| p.0), mean(|p| p.1));
     let covariance: Matrix3<f64> = points.iter().map(|(a, b)| (b - to) * (a - from).transpose()).sum();
     let svd = covariance.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Pose::identity() };

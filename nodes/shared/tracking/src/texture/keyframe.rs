@@ -82,7 +82,7 @@ impl Maker {
         self.scratch.cover(&scene);
         let anchors = self.anchors(&scene, &window, pyramid);
         let (pose, pyramid) = (items[0].camera_from_object, Arc::clone(pyramid));
-        (anchors.len() >= FEWEST).then(|| Keyframe { pyramid, pose, anchors, alike: ALIKE })
+        (anchors.len() >= FEWEST).then_some(Keyframe { pyramid, pose, anchors, alike: ALIKE })
     }
 
     /// The mesh itself as a keyframe: the first of `items` rendered at its pose. It binds the object to what is known of it, where
@@ -108,7 +108,7 @@ impl Maker {
         let own = Window { x0: 0, y0: 0, width, height };
         let anchors = self.anchors(&scene, &own, &pyramid);
         let pose = items[0].camera_from_object;
-        (anchors.len() >= FEWEST).then(|| Keyframe { pyramid, pose, anchors, alike: ALIKE_RENDERED })
+        (anchors.len() >= FEWEST).then_some(Keyframe { pyramid, pose, anchors, alike: ALIKE_RENDERED })
     }
 
     /// Corners of a window's picture on the scene that was covered last.
