@@ -15,7 +15,8 @@
 //! | [`PartnerFrames`] | player (training) | renderer |
 //! | [`PseudoLabels`] | consistency | trainer |
 //! | [`NetworkWeights`] | trainer | flow |
-//! | [`Rectangles`] | player, bridge (a detector's) | initializer |
+//! | [`Rectangles`] | player (a detector's) | rectangle_finder |
+//! | [`DetectedFrame`] | bridge (a detector's) | rectangle_finder |
 //! | [`Pictures`] | consistency | recorder |
 //!
 //! At the edges ([`ros`]) the same content is ROS 2 messages: in bags and over DDS.
@@ -24,6 +25,7 @@ pub mod layout;
 pub mod ros;
 
 mod camera_frame;
+mod detected_frame;
 mod flow_fields;
 mod network_weights;
 mod object_poses;
@@ -36,6 +38,7 @@ mod reference_views;
 mod wanted;
 
 pub use camera_frame::{CameraFrame, CameraFrameHeader, CameraFrameMut, FRAME_ID_BYTES};
+pub use detected_frame::DetectedFrame;
 pub use flow_fields::{FlowFields, FlowFieldsHeader, FlowFieldsMut};
 pub use layout::{AlignedBytes, MalformedMessage};
 pub use network_weights::{NetworkWeights, NetworkWeightsHeader};

@@ -31,9 +31,9 @@ pub struct RectanglesHeader {
     pub reserved: u32,
 }
 
-/// What a detector saw in a frame; it may come later than the frame.
+/// What a detector saw in a frame.
 ///
-/// Producers: bridge, player. Consumer: initializer.
+/// Producer: player. Consumer: rectangle_finder.
 #[derive(Debug, Clone, Copy)]
 pub struct Rectangles<'a> {
     /// Count and names.

@@ -61,7 +61,8 @@ fn parameters_and_nodes_that_a_graph_does_not_have() {
     assert_says(&check_with("size=256"), &["size=256", "a parameter (source", "size_px"]);
     let said = refused(&["check", "config/graphs/refine.yaml", "--without", "judge"]);
     assert_says(&said, &["--without judge", "no such node", "evaluator"]);
-    let without = run(&["check", "config/graphs/refine.yaml", "--without", "evaluator,recorder", "--set", "size_px=256"]);
+    let without =
+        run(&["check", "config/graphs/refine.yaml", "--without", "evaluator,recorder", "--set", "size_px=256"]);
     assert!(without.status.success(), "{}", String::from_utf8_lossy(&without.stderr));
     assert!(String::from_utf8_lossy(&without.stdout).contains("5 nodes"));
 }

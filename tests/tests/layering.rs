@@ -36,7 +36,7 @@ const NODES: [&str; 11] = [
     "pseudoflow-evaluator",
     "pseudoflow-recorder",
 ];
-const SHARED: [&str; 10] = [
+const SHARED: [&str; 11] = [
     "pseudoflow-msgs",
     "pseudoflow-geometry",
     "pseudoflow-imaging",

@@ -2,8 +2,9 @@
 //! finds its frame by the stamp; no image waits for one.
 
 use crate::ledger::Ledger;
+use pseudoflow_edge::rectangle_of;
 use pseudoflow_msgs::ros::{Detection2DArray, Detection3DArray, Header, Naming, object_poses};
-use pseudoflow_msgs::{FrameKey, ObjectPose, Rectangle};
+use pseudoflow_msgs::{CameraFrameHeader, FrameKey, ObjectPose, Rectangle};
 use std::collections::VecDeque;
 
 /// Most detections of one message that are used, the surest first.
@@ -17,9 +18,19 @@ const FARTHEST_M: f64 = 1000.0;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Remembered {
     pub(crate) key: FrameKey,
-    pub(crate) frame_id: String,
-    pub(crate) size: (u32, u32),
+    pub(crate) header: CameraFrameHeader,
+    /// Its pixels, where the graph looks at rectangles of the past.
+    pub(crate) rgb: Option<Vec<u8>>,
 }
+
+impl Remembered {
+    fn size(&self) -> (u32, u32) {
+        (self.header.width, self.header.height)
+    }
+}
+
+/// Most memory for pixels of the past.
+const MOST_BYTES: usize = 256 << 20;
 
 /// The images of the last seconds.
 #[derive(Debug)]
@@ -38,10 +49,19 @@ impl Memory {
         // A clock that jumped back begins anew.
         self.images.retain(|old| (0..=self.keep_ns).contains(&stamp_ns.saturating_sub(old.key.stamp_ns)));
         self.images.push_back(image);
+        let bytes = |images: &VecDeque<Remembered>| images.iter().flat_map(|i| &i.rgb).map(Vec::len).sum::<usize>();
+        while bytes(&self.images) > MOST_BYTES {
+            self.images.pop_front();
+        }
     }
 
     pub(crate) fn holds(&self, key: FrameKey) -> bool {
         self.images.iter().any(|image| image.key == key)
+    }
+
+    /// An image that is remembered.
+    pub(crate) fn image_of(&self, key: FrameKey) -> Option<&Remembered> {
+        self.images.iter().find(|image| image.key == key)
     }
 
     /// The image of a stamp; why there is none otherwise.
@@ -116,8 +136,8 @@ impl<A: Answer> Matcher<A> {
             match matched {
                 Err(Unmatched::Old) => ledger.drop(&self.topic, "late", "its image is older than `camera.memory_s`"),
                 Err(_) => ledger.drop(&self.topic, "stamp", format!("no image has the stamp {stamp_ns} ns")),
-                Ok(image) if answer.header().frame_id != image.frame_id => {
-                    let (theirs, ours) = (&answer.header().frame_id, &image.frame_id);
+                Ok(image) if answer.header().frame_id != image.header.frame_id() => {
+                    let (theirs, ours) = (&answer.header().frame_id, image.header.frame_id());
                     ledger.drop(&self.topic, "frame_id", format!("`{theirs}` is not the image's frame `{ours}`"));
                 }
                 Ok(image) => return Some((image.key, answer.found(image, naming, &self.topic, ledger))),
@@ -185,45 +205,15 @@ impl Answer for Detection2DArray {
     }
 
     fn found(&self, image: &Remembered, naming: &Naming, topic: &str, ledger: &mut Ledger) -> Vec<Rectangle> {
-        let read = |detection| rectangle(detection, image.size, naming);
         let mut found = Vec::new();
         for detection in &self.detections {
-            match read(detection) {
+            match rectangle_of(detection, image.size(), naming) {
                 Ok(rectangle) => found.push(rectangle),
-                Err((kind, cause)) => ledger.drop(topic, kind, cause),
+                Err(error) => ledger.drop(topic, error.kind(), error),
             }
         }
         surest(found, |r: &Rectangle| f64::from(r.score), topic, ledger)
     }
-}
-
-fn rectangle(
-    detection: &pseudoflow_msgs::ros::Detection2D,
-    (width, height): (u32, u32),
-    naming: &Naming,
-) -> Result<Rectangle, (&'static str, String)> {
-    let likeliest =
-        detection.results.iter().map(|r| &r.hypothesis).reduce(|a, b| if b.score > a.score { b } else { a });
-    let said = likeliest.ok_or(("empty", format!("detection `{}` has no results", detection.id)))?;
-    let known = naming.object_id(&said.class_id).filter(|id| naming.is_known(*id));
-    let object_id = known.ok_or(("unknown object", format!("`{}` is not in the object set", said.class_id)))?;
-    if !said.score.is_finite() {
-        return Err(("score", format!("the score of `{}` is {}", said.class_id, said.score)));
-    }
-    let (centre, size) = (detection.bbox.center.position, [detection.bbox.size_x, detection.bbox.size_y]);
-    if !([centre.x, centre.y].iter().chain(&size).all(|v| v.is_finite()) && size.iter().all(|v| *v > 0.0)) {
-        let cause = format!("`{}`: {size:?} pixels about ({}, {}) is no rectangle", said.class_id, centre.x, centre.y);
-        return Err(("rectangle", cause));
-    }
-    let low = |centre: f64, size: f64| (centre - size / 2.0).max(-0.5) as f32;
-    let high = |centre: f64, size: f64, all: u32| (centre + size / 2.0).min(f64::from(all) - 0.5) as f32;
-    let [left, top] = [low(centre.x, size[0]), low(centre.y, size[1])];
-    let [right, bottom] = [high(centre.x, size[0], width), high(centre.y, size[1], height)];
-    if !(right > left && bottom > top) {
-        let cause = format!("`{}` about ({}, {}) lies outside the image", said.class_id, centre.x, centre.y);
-        return Err(("outside", cause));
-    }
-    Ok(Rectangle { object_id, score: said.score.clamp(0.0, 1.0) as f32, left, top, right, bottom })
 }
 
 #[cfg(test)]
@@ -257,7 +247,10 @@ mod tests {
         let mut memory = Memory::new(2.0);
         for i in 0..90 {
             let key = FrameKey { index: i, stamp_ns: i as i64 * SECOND / 30 };
-            memory.remember(Remembered { key, frame_id: "optical".into(), size: (100, 100) });
+            let frame_id = CameraFrameHeader::frame_id_bytes("optical").unwrap();
+            let header =
+                CameraFrameHeader { width: 100, height: 100, scene_id: 0, image_id: 0, intrinsics: [1.0; 4], frame_id };
+            memory.remember(Remembered { key, header, rgb: None });
         }
         memory
     }
@@ -302,7 +295,7 @@ mod tests {
         let (found, ledger) = taken(vec![Detection2DArray { header: header(2 * SECOND), detections }]);
         assert_eq!(found[0].1.len(), MOST_DETECTIONS);
         let first = found[0].1[0];
-        assert_eq!((first.score, first.right), (1.0, 99.5));
+        assert_eq!((first.score, first.right), (1.0, 103.0));
         let counts =
             ["unknown object", "outside", "rectangle", "score", "empty", "too many"].map(|kind| ledger.count(kind));
         assert_eq!(counts, [2, 1, 2, 1, 1, 1002 - MOST_DETECTIONS as u64]);

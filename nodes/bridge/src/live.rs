@@ -6,7 +6,7 @@ use crate::ledger::Ledger;
 use crate::names::Names;
 use crate::{BridgeConfig, BridgeError, Participant, sensor_qos};
 use pseudoflow_msgs::ros::{Detection2DArray, Detection3DArray, Naming, RosMessage};
-use pseudoflow_msgs::{CameraFrame, CameraFrameHeader, FrameKey, ObjectPose, ObjectPoses, Rectangle, Rectangles};
+use pseudoflow_msgs::{CameraFrame, CameraFrameHeader, DetectedFrame, FrameKey, ObjectPose, ObjectPoses};
 use pseudoflow_runtime::{Context, NodeError, Outputs, Produced};
 use ros2_client::{Name, Subscription};
 use std::collections::VecDeque;
@@ -111,7 +111,8 @@ impl LiveCamera {
         }
         let joined = self.detections.is_some() && outputs.is_connected("initial_poses");
         let next = self.camera.next(ears.participant, ears.names, ears.ledger, &mut self.rgb)?;
-        let fresh = next.map(|picture| (self.admit(&picture), picture));
+        let keep_pixels = self.rectangles.is_some() && outputs.is_connected("detected");
+        let fresh = next.map(|picture| (self.admit(&picture, keep_pixels), picture));
         self.send_rectangles(ears, outputs)?;
         if joined {
             if let Some((key, picture)) = fresh {
@@ -127,11 +128,12 @@ impl LiveCamera {
     }
 
     /// The key of a new image, which is remembered.
-    fn admit(&mut self, picture: &Picture) -> FrameKey {
+    fn admit(&mut self, picture: &Picture, keep_pixels: bool) -> FrameKey {
         let key = FrameKey { index: self.next_index, stamp_ns: picture.stamp_ns };
         self.next_index += 1;
         self.frame_id = Some(picture.frame_name.clone());
-        self.memory.remember(Remembered { key, frame_id: picture.frame_name.clone(), size: picture.size });
+        let rgb = keep_pixels.then(|| self.rgb.clone());
+        self.memory.remember(Remembered { key, header: header(key, picture), rgb });
         key
     }
 
@@ -172,17 +174,24 @@ impl LiveCamera {
     fn send_rectangles(&mut self, ears: &mut Ears<'_>, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
         let Some(detector) = &mut self.rectangles else { return Ok(()) };
         while let Some((key, found)) = detector.matcher.take(&self.memory, ears.naming, ears.ledger) {
-            send_rectangles(outputs, key, &found)?;
+            let Some(Remembered { header, rgb: Some(rgb), .. }) = self.memory.image_of(key) else { continue };
+            outputs.send("detected", key, DetectedFrame::byte_len(header, found.len()), &mut |bytes| {
+                DetectedFrame::write(bytes, *header, &found, rgb);
+            })?;
         }
         Ok(())
     }
 }
 
-fn send_frame(outputs: &mut dyn Outputs, key: FrameKey, picture: &Picture, rgb: &[u8]) -> Result<(), NodeError> {
+fn header(key: FrameKey, picture: &Picture) -> CameraFrameHeader {
     let (width, height) = picture.size;
     let (image_id, intrinsics, frame_id) = (key.index as u32, picture.intrinsics, picture.frame_id);
-    let header = CameraFrameHeader { width, height, scene_id: 0, image_id, intrinsics, frame_id };
-    outputs.send("frame", key, CameraFrame::byte_len(width, height), &mut |bytes| {
+    CameraFrameHeader { width, height, scene_id: 0, image_id, intrinsics, frame_id }
+}
+
+fn send_frame(outputs: &mut dyn Outputs, key: FrameKey, picture: &Picture, rgb: &[u8]) -> Result<(), NodeError> {
+    let header = header(key, picture);
+    outputs.send("frame", key, CameraFrame::byte_len(header.width, header.height), &mut |bytes| {
         CameraFrame::write(bytes, header).rgb.copy_from_slice(rgb);
     })
 }
@@ -195,11 +204,5 @@ fn send_poses(
 ) -> Result<(), NodeError> {
     outputs.send(port, key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
         ObjectPoses::write(bytes, 0, key.index as u32, poses);
-    })
-}
-
-fn send_rectangles(outputs: &mut dyn Outputs, key: FrameKey, found: &[Rectangle]) -> Result<(), NodeError> {
-    outputs.send("rectangles", key, Rectangles::byte_len(found.len()), &mut |bytes| {
-        Rectangles::write(bytes, 0, key.index as u32, found);
     })
 }

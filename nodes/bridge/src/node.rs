@@ -3,7 +3,7 @@ use crate::live::{Ears, LiveCamera};
 use crate::names::Names;
 use crate::publish::PosePublisher;
 use crate::{BridgeConfig, BridgeError, DdsEnvironment, Participant};
-use pseudoflow_msgs::{CameraFrame, ObjectPoses, ObjectStatuses, Rectangles};
+use pseudoflow_msgs::{CameraFrame, DetectedFrame, ObjectPoses, ObjectStatuses};
 use pseudoflow_runtime::{Context, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Role, read};
 use std::time::{Duration, Instant};
 
@@ -40,7 +40,7 @@ impl Node for Bridge {
             PortSpec::optional::<CameraFrame>("frame"),
             PortSpec::optional::<ObjectPoses>("initial_poses"),
             PortSpec::optional::<ObjectPoses>("found"),
-            PortSpec::optional::<Rectangles>("rectangles"),
+            PortSpec::optional::<DetectedFrame>("detected"),
         ]
     }
 

@@ -62,6 +62,7 @@ fn registry() -> Registry {
     Registry::new()
         .with::<pseudoflow_player::PlayerNode>()
         .with::<pseudoflow_initializer::InitializerNode>()
+        .with::<pseudoflow_initializer::RectangleFinder>()
         .with::<pseudoflow_tracker::TrackerNode>()
         .with::<pseudoflow_renderer::RendererNode>()
         .with::<pseudoflow_flow::FlowNode>()

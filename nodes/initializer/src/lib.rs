@@ -15,6 +15,7 @@ mod memory;
 mod network;
 mod node;
 mod patience;
+mod rectangle_finder;
 pub mod track;
 pub mod votes;
 
@@ -24,3 +25,4 @@ pub use fit::Fit;
 pub use network::{Answer, DetectorNetwork};
 pub use node::{InitializerConfig, InitializerNode};
 pub use patience::SearchConfig;
+pub use rectangle_finder::{RectangleFinder, RectangleFinderConfig};

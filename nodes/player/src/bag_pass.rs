@@ -6,7 +6,7 @@ use pseudoflow_edge::pixels::check_rgb;
 use pseudoflow_imaging::image_size;
 use pseudoflow_msgs::CameraFrameHeader;
 use pseudoflow_msgs::ros::{
-    CameraInfo, CompressedImage, Detection3DArray, Header, Image, RosMessage, from_cdr, object_poses,
+    CameraInfo, CompressedImage, Detection2DArray, Detection3DArray, Header, Image, RosMessage, from_cdr, object_poses,
 };
 use pseudoflow_runtime::bag::Visited;
 use std::collections::BTreeMap;
@@ -48,6 +48,8 @@ pub(crate) struct Pass<'a> {
     pub(crate) cameras: BTreeMap<String, Cameras>,
     /// Message of each stamp on the topic of initial poses.
     pub(crate) poses: BTreeMap<i64, usize>,
+    /// And on that of rectangles.
+    pub(crate) rectangles: BTreeMap<i64, usize>,
     /// Objects of the initial poses and the first stamp of each.
     pub(crate) objects: BTreeMap<u32, i64>,
     /// The first thing wrong with each topic: an error only if the topic is played.
@@ -62,7 +64,8 @@ struct Wrong {
 impl<'a> Pass<'a> {
     pub(crate) fn new(options: &'a BagOptions) -> Self {
         let (images, cameras, poses) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        Self { options, images, cameras, poses, objects: BTreeMap::new(), wrong: BTreeMap::new() }
+        let rectangles = BTreeMap::new();
+        Self { options, images, cameras, poses, rectangles, objects: BTreeMap::new(), wrong: BTreeMap::new() }
     }
 
     pub(crate) fn visit(&mut self, visited: &Visited<'_>) {
@@ -94,6 +97,11 @@ impl<'a> Pass<'a> {
             Ok(())
         } else if self.options.poses_topic.as_deref() == Some(topic) && type_name == Detection3DArray::type_name() {
             self.detections(number, &from_cdr(data)?)
+        } else if self.options.rectangles_topic.as_deref() == Some(topic) && type_name == Detection2DArray::type_name()
+        {
+            let array: Detection2DArray = from_cdr(data)?;
+            self.rectangles.insert(array.header.stamp.as_ns(), number);
+            Ok(())
         } else {
             Ok(())
         }
@@ -133,7 +141,7 @@ impl<'a> Pass<'a> {
     }
 
     /// The first thing wrong with one of the topics that are played.
-    pub(crate) fn refuse(&mut self, path: &Path, topics: [Option<&String>; 3]) -> Result<(), PlayerError> {
+    pub(crate) fn refuse(&mut self, path: &Path, topics: [Option<&String>; 4]) -> Result<(), PlayerError> {
         for topic in topics.into_iter().flatten() {
             if let Some(Wrong { number, cause }) = self.wrong.remove(topic) {
                 return Err(PlayerError::Message { path: path.to_owned(), topic: topic.clone(), number, cause });

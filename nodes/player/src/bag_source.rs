@@ -3,8 +3,11 @@ use crate::source::{FrameFacts, check_sizes};
 use crate::{FrameSource, LoadedFrame, PlayerError};
 use pseudoflow_edge::camera::{LensCache, image_size_px};
 use pseudoflow_edge::pixels::{write_rgb, write_rgb_of_file};
-use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Detection3DArray, Image, Naming, RosMessage, object_poses};
-use pseudoflow_msgs::{CameraFrameHeader, FRAME_ID_BYTES, ObjectPose};
+use pseudoflow_edge::rectangle_of;
+use pseudoflow_msgs::ros::{
+    CameraInfo, CompressedImage, Detection2DArray, Detection3DArray, Image, Naming, RosMessage, object_poses,
+};
+use pseudoflow_msgs::{CameraFrameHeader, FRAME_ID_BYTES, ObjectPose, Rectangle};
 use pseudoflow_runtime::bag::{BagReader, TopicInfo, TopicNumber};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -18,6 +21,8 @@ pub struct BagOptions {
     pub camera_info_topic: Option<String>,
     /// Topic of initial poses (Detection3DArray); none without.
     pub poses_topic: Option<String>,
+    /// Topic of a detector's rectangles (Detection2DArray); none without.
+    pub rectangles_topic: Option<String>,
     /// Whether the images are rectified already, so that P holds instead of K and D.
     pub rectified: bool,
     /// The camera of all images, instead of a CameraInfo topic.
@@ -34,6 +39,7 @@ pub struct BagSource {
     path: PathBuf,
     images: (TopicNumber, bool),
     poses_topic: Option<TopicNumber>,
+    rectangles_topic: Option<TopicNumber>,
     naming: Naming,
     frames: Vec<Frame>,
     calibrations: Vec<CameraInfo>,
@@ -53,6 +59,8 @@ struct Frame {
     calibration: usize,
     /// Message of the poses topic with the image's stamp.
     poses: Option<usize>,
+    /// And of the rectangles topic.
+    rectangles: Option<usize>,
 }
 
 impl BagSource {
@@ -79,7 +87,13 @@ impl BagSource {
         };
         let poses_types = [Detection3DArray::type_name()];
         let poses_topic = options.poses_topic.as_deref().map(|name| reader.topic(name, &poses_types)).transpose()?;
-        pass.refuse(path, [Some(&image_topic), info_topic.as_ref(), options.poses_topic.as_ref()])?;
+        let types = [Detection2DArray::type_name()];
+        let rectangles_topic =
+            options.rectangles_topic.as_deref().map(|name| reader.topic(name, &types)).transpose()?;
+        pass.refuse(
+            path,
+            [Some(&image_topic), info_topic.as_ref(), options.poses_topic.as_ref(), options.rectangles_topic.as_ref()],
+        )?;
 
         let cameras = match (&options.calibration, &info_topic) {
             (Some(info), _) => Cameras { messages: vec![(i64::MIN, 0)], calibrations: vec![info.clone()] },
@@ -102,7 +116,8 @@ impl BagSource {
                 cause: cause.into(),
             })?;
             let poses = pass.poses.get(&image.stamp_ns).copied();
-            Ok(Frame { stamp_ns: image.stamp_ns, intrinsics, calibration: *camera, poses })
+            let rectangles = pass.rectangles.get(&image.stamp_ns).copied();
+            Ok(Frame { stamp_ns: image.stamp_ns, intrinsics, calibration: *camera, poses, rectangles })
         };
         let frames: Vec<Frame> = paired.iter().enumerate().map(&mut frame).collect::<Result<_, PlayerError>>()?;
         let number = reader.topic(&image_topic, &image_types)?;
@@ -116,6 +131,7 @@ impl BagSource {
             lens,
             scratch: Vec::new(),
             poses_topic,
+            rectangles_topic,
             naming: options.naming.clone(),
             path: path.to_owned(),
             reader,
@@ -139,6 +155,20 @@ impl BagSource {
 
     fn ids(&self, number: usize) -> (u32, u32) {
         self.bop_ids.get(number).copied().unwrap_or((0, number as u32))
+    }
+
+    fn rectangles_of(&mut self, frame: usize, size: (u32, u32)) -> Result<Vec<Rectangle>, PlayerError> {
+        let (Some(topic), Some(number)) = (self.rectangles_topic, self.frames[frame].rectangles) else {
+            return Ok(Vec::new());
+        };
+        let array: Detection2DArray = self.reader.read(topic, number)?;
+        let read = |detection| rectangle_of(detection, size, &self.naming);
+        array.detections.iter().map(read).collect::<Result<_, _>>().map_err(|cause| PlayerError::Message {
+            path: self.path.clone(),
+            topic: self.reader.topics()[topic].name.clone(),
+            number,
+            cause: cause.into(),
+        })
     }
 
     fn poses_of(&mut self, frame: usize) -> Result<Vec<ObjectPose>, PlayerError> {
@@ -220,9 +250,10 @@ impl FrameSource for BagSource {
         let lens =
             lens.map_err(|cause| PlayerError::Image { path: self.path.clone(), number, cause: cause.to_string() })?;
         lens.rectify(&mut rgb, &mut self.scratch);
+        let rectangles = self.rectangles_of(number, (width, height))?;
         let frame_id = CameraFrameHeader::frame_id_bytes(&name).unwrap_or([0; FRAME_ID_BYTES]); // checked on the pass
         let (scene_id, image_id) = self.ids(number);
         let header = CameraFrameHeader { width, height, scene_id, image_id, intrinsics, frame_id };
-        Ok(LoadedFrame { stamp_ns, header, rgb, initial_poses: self.poses_of(number)? })
+        Ok(LoadedFrame { stamp_ns, header, rgb, initial_poses: self.poses_of(number)?, rectangles })
     }
 }

@@ -115,6 +115,12 @@ impl FrameSource for BopSource {
             frame_id: CameraFrameHeader::frame_id_bytes(FRAME_ID).unwrap_or([0; pseudoflow_msgs::FRAME_ID_BYTES]),
         };
         let initial_poses = given_poses(&frame.initial_poses);
-        Ok(LoadedFrame { stamp_ns: stamp_ns(number), header, rgb: image.into_raw(), initial_poses })
+        Ok(LoadedFrame {
+            stamp_ns: stamp_ns(number),
+            header,
+            rgb: image.into_raw(),
+            initial_poses,
+            rectangles: Vec::new(),
+        })
     }
 }

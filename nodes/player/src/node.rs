@@ -8,7 +8,7 @@ use pseudoflow_edge::naming_of;
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_msgs::ros::Naming;
 use pseudoflow_msgs::{
-    CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader,
+    CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader, Rectangles,
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Produced, Role};
 use schemars::JsonSchema;
@@ -37,6 +37,9 @@ pub struct PlayerConfig {
     /// Topic of the CameraInfo; without: the only one.
     #[serde(default)]
     pub camera_info_topic: Option<String>,
+    /// Topic of a detector's rectangles (vision_msgs/Detection2DArray).
+    #[serde(default)]
+    pub rectangles_topic: Option<String>,
     /// Whether the images of a bag are rectified, so that CameraInfo's P holds instead of K and D. Else they are rectified here.
     #[serde(default)]
     pub rectified: bool,
@@ -90,6 +93,7 @@ impl PlayerConfig {
             initial_poses: InitialPoses::default(),
             image_topic: None,
             camera_info_topic: None,
+            rectangles_topic: None,
             rectified: false,
             calibration: None,
             only_objects: None,
@@ -143,6 +147,7 @@ fn open(config: &PlayerConfig, path: &Path, naming: Naming) -> Result<Box<dyn Fr
         image_topic: config.image_topic.clone(),
         camera_info_topic: config.camera_info_topic.clone(),
         poses_topic: config.initial_poses.topic.clone(),
+        rectangles_topic: config.rectangles_topic.clone(),
         rectified: config.rectified,
         calibration: config.calibration.as_deref().map(read_calibration).transpose()?,
         naming,
@@ -282,6 +287,7 @@ impl Node for PlayerNode {
             PortSpec::required::<CameraFrame<'static>>("frame"),
             PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
             PortSpec::optional::<PartnerFrames<'static>>("partners"),
+            PortSpec::optional::<Rectangles<'static>>("rectangles"),
         ]
     }
 
@@ -360,6 +366,10 @@ impl Node for PlayerNode {
         let poses = &frame.initial_poses;
         outputs.send("initial_poses", key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, header.scene_id, header.image_id, poses);
+        })?;
+        let seen = &frame.rectangles;
+        outputs.send("rectangles", key, Rectangles::byte_len(seen.len()), &mut |bytes| {
+            Rectangles::write(bytes, header.scene_id, header.image_id, seen);
         })?;
         Ok(Produced::Frame(key))
     }

@@ -1,5 +1,5 @@
 use crate::PlayerError;
-use pseudoflow_msgs::{CameraFrameHeader, ObjectPose};
+use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, Rectangle};
 use std::collections::BTreeMap;
 
 /// One frame of a recording.
@@ -13,6 +13,8 @@ pub struct LoadedFrame {
     pub rgb: Vec<u8>,
     /// Initial poses that the recording holds for the frame.
     pub initial_poses: Vec<ObjectPose>,
+    /// What a detector saw in it.
+    pub rectangles: Vec<Rectangle>,
 }
 
 /// What is known of a frame without its image.

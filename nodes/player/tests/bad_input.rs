@@ -113,17 +113,8 @@ fn put_of<M: BagMessage>(number: u32, message: M) -> Put {
 
 fn config(source: &Path) -> PlayerConfig {
     PlayerConfig {
-        source: source.to_owned(),
-        objects: None,
         initial_poses: InitialPoses { topic: Some("/initial_poses".into()), file: None },
-        image_topic: None,
-        camera_info_topic: None,
-        rectified: false,
-        calibration: None,
-        only_objects: None,
-        max_frames: None,
-        also: Vec::new(),
-        sampling: None,
+        ..PlayerConfig::new(source.to_owned())
     }
 }
 

@@ -219,6 +219,7 @@ fn picture(folder: &Path, sequence: u32, jpeg: &[u8]) -> Result<(), NodeError> {
 impl Node for RecorderNode {
     const KIND: &'static str = "recorder";
     const ROLE: Role = Role::Sink;
+    const KEEPS: bool = true;
     type Config = RecorderConfig;
 
     fn inputs() -> Vec<PortSpec> {

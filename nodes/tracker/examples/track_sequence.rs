@@ -299,7 +299,9 @@ fn write(scored: &[Scored], path: &Path) {
             v.overlap,
             v.texture,
             v.textured,
-            e.good_frames, v.likeness, v.contrast
+            e.good_frames,
+            v.likeness,
+            v.contrast
         );
     }
     std::fs::write(path, out).unwrap();

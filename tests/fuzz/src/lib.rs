@@ -3,6 +3,8 @@
 //! `cargo fuzz` runs them from `fuzz_targets` (it needs a nightly compiler); `tests/tests/hostile` runs the same functions
 //! on known bad files and on mutated good ones with the stable compiler, under the budgets below.
 
+use pseudoflow_edge::camera::Lens;
+use pseudoflow_edge::pixels::write_rgb;
 use pseudoflow_imaging::{decode_rgb, image_size, load_obj, load_ply, read_initial_poses};
 use pseudoflow_metrics::parse_results;
 use pseudoflow_msgs::ros::{
@@ -124,11 +126,11 @@ pub fn cdr(bytes: &[u8]) {
         from_cdr(bytes).ok()
     }
     if let Some(image) = read::<Image>(bytes) {
-        let _ = image.write_rgb(&mut Vec::new());
+        let _ = write_rgb(&image, &mut Vec::new());
     }
     if let Some(info) = read::<CameraInfo>(bytes) {
-        let _ = info.intrinsics(false);
-        let _ = info.intrinsics(true);
+        let _ = Lens::new(&info, (16, 12), false);
+        let _ = Lens::new(&info, (16, 12), true);
     }
     if let Some(array) = read::<Detection3DArray>(bytes) {
         let _ = object_poses(&array, &Naming::default());

@@ -77,14 +77,25 @@ impl Camera {
         config: &CameraConfig,
     ) -> Result<Self, BridgeError> {
         let calibration = config.calibration.as_deref().map(read_calibration).transpose()?;
-        let info = names.resolve("camera.camera_info", &config.info_topic())?;
+        // Neighbours of the images' topic as it is called in the end, remapped or not.
+        let image = |name: &str| names.resolve("camera.image", name);
+        let raw = image(config.raw_topic())?;
+        let beside = |topic: String| names.resolve("camera.image", &topic);
+        let info = match &config.camera_info {
+            Some(topic) => names.resolve("camera.camera_info", topic)?,
+            None => beside(CameraConfig::of_topic(&raw.to_string()).info_topic())?,
+        };
+        let compressed = match config.transport {
+            Transport::Compressed => image(&config.image)?,
+            _ => beside(CameraConfig::of_topic(&raw.to_string()).compressed_topic())?,
+        };
         let infos = match &calibration {
             Some(_) => None,
             None => Some(participant.subscribe(names, &info, sensor_qos(config.queue_depth))?),
         };
         let mut camera = Self {
-            raw: names.resolve("camera.image", config.raw_topic())?,
-            compressed: names.resolve("camera.image", &config.compressed_topic())?,
+            raw,
+            compressed,
             info,
             images: Images::Undecided { looked: None, compressed_since: None },
             infos,

@@ -185,6 +185,11 @@ fn train(args: &Args, folder: &Path) -> Result<Option<PathBuf>> {
         let bar = progress::Watch::start(folder, args.steps);
         let summary = supervisor::run(&graph, &crate::registry(), &options);
         bar.stop();
+        if matches!(summary, Err(supervisor::SupervisorError::Killed(_))) {
+            // Asked to stop, in the middle of a step: what is in the last checkpoint stays.
+            println!("stopped; go on with the same command and `--resume`");
+            return Ok(None);
+        }
         let summary = summary.with_context(|| format!("training stopped; its log is {}", options.run_dir.display()))?;
         training::print_stages(&summary);
         if summary.asked_to_stop {

@@ -5,5 +5,7 @@
 pub mod camera;
 mod objects;
 pub mod pixels;
+mod rectangles;
 
 pub use objects::{Catalogue, CatalogueError, naming_of};
+pub use rectangles::{RectangleError, rectangle_of};

@@ -79,7 +79,7 @@ pub(crate) enum State {
     Ready = 1,
     /// It has seen the end of the run and closed what it kept.
     Finished = 2,
-    /// It has seen its last frame and closes what it keeps.
+    /// It has seen its last frame and closes what would be lost otherwise.
     Closing = 3,
 }
 

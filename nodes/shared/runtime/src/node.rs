@@ -83,6 +83,9 @@ pub trait Node: Sized {
     const KIND: &'static str;
     /// How the runtime treats it.
     const ROLE: Role;
+    /// Whether [`Node::finish`] keeps what would be lost otherwise: a run that is asked to stop waits for it longer than for
+    /// anything else.
+    const KEEPS: bool = false;
     /// Its block in the graph's YAML; unknown keys must be refused (`deny_unknown_fields`).
     type Config: DeserializeOwned + JsonSchema;
 

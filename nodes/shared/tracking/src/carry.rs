@@ -1,12 +1,90 @@
 //! What was found in an earlier frame, brought to the present.
 
+use crate::follow::{hiders, subject};
 use crate::measure::Trial;
 use crate::rest::{Body, body, common_motion};
-use crate::tracker::{Correction, CorrectionKind, Tracker};
+use crate::track::{Phase, Track};
+use crate::tracker::{Now, Tracker};
+use crate::types::{Correction, CorrectionKind};
 use nalgebra::Point3;
+use pseudoflow_contour::Colours;
 use pseudoflow_geometry::{Intrinsics, Pose, rotation_angle_rad};
 
 impl Tracker {
+    /// The better of the prediction and of what others have found.
+    pub(crate) fn correct(
+        &mut self,
+        i: usize,
+        now: &Now<'_>,
+        own: Option<Trial>,
+        (predicted, corrections): (&[Pose], &[Correction]),
+        poses: &[Pose],
+    ) -> Option<Trial> {
+        let id = self.objects[self.tracks[i].object].id;
+        let mut best = own;
+        for correction in corrections.iter().filter(|c| c.object_id == id) {
+            let search = correction.kind == CorrectionKind::Found;
+            let sure = self.tracks[i].phase == Phase::Tracking && self.tracks[i].measured;
+            if search && sure && self.tracks[i].known {
+                continue;
+            }
+            if !search {
+                self.tracks[i].asked_ns = None;
+            }
+            let start = self.carried(i, correction, predicted, &now.frame.intrinsics);
+            let trial = self.try_at(i, now, &start, poses);
+            let Some(own) = best.filter(|_| self.tracks[i].known) else {
+                best = Some(self.begin(i, now, trial));
+                continue;
+            };
+            if self.near(i, &own.pose, &trial.pose) {
+                continue;
+            }
+            let (own, trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
+            let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
+            if search && (trial.confidence > own.confidence || given_up) {
+                best = Some(self.begin(i, now, trial));
+            } else if !search && self.prefers(&own, &trial, correction, self.tracks[i].phase == Phase::Tracking) {
+                self.jump(i, &own.pose, &trial.pose);
+                best = Some(trial);
+            }
+        }
+        best
+    }
+
+    /// A pose that others have found, in this frame.
+    pub(crate) fn try_at(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
+        match self.tracks[i].measured {
+            true => self.follow_contour(i, now, start, poses),
+            false => {
+                let Self { eye, objects, tracks, .. } = self;
+                let hiders = hiders(objects, tracks, i, poses);
+                eye.find(&subject(now, &objects[tracks[i].object], &hiders), start)
+            }
+        }
+    }
+
+    /// Begins a track anew where a search has found its object.
+    pub(crate) fn begin(&mut self, i: usize, now: &Now<'_>, trial: Trial) -> Trial {
+        let track = &mut self.tracks[i];
+        let phase = track.phase;
+        *track = Track::new(track.object);
+        (track.phase, track.known, track.pose, track.seen_ns) = (phase, true, trial.pose, now.frame.stamp_ns);
+        trial
+    }
+
+    /// A track goes on elsewhere in this frame: what was remembered of it moves along.
+    pub(crate) fn jump(&mut self, i: usize, from: &Pose, to: &Pose) {
+        let object_from_corrected = from.inverse() * to;
+        let track = &mut self.tracks[i];
+        track.pose *= object_from_corrected;
+        track.history.correct(&object_from_corrected);
+        track.velocity.turn(&object_from_corrected);
+        track.colours = Colours::default();
+        track.keyframes.clear();
+        (track.likeness, track.compared_at) = (None, 0);
+    }
+
     /// Where a correction puts its object now: by the object's own motion since, else by that of what is at rest, else as it is.
     pub(crate) fn carried(
         &self,
@@ -59,7 +137,8 @@ impl Tracker {
         let enough = other.evidence.seen() >= self.config.min_seen;
         let trusted = correction.kind == CorrectionKind::Look { accepted: true } || !tracked;
         let sure = other.confidence >= self.config.min_confidence;
-        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure) {
+        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure)
+        {
             return true;
         }
         let told = own.evidence.contrast.min(other.evidence.contrast) > TELLING;
@@ -78,5 +157,5 @@ impl Tracker {
 /// How much less sure a contour may be of a pose that a look has found: a look sees what is inside of it.
 const LOOK_BONUS: f64 = 0.2;
 /// Contrast (as in the evidence) from which renderings tell poses apart, and the difference of correlations that does.
-pub(crate) const TELLING: f64 = 0.3;
-pub(crate) const ALIKE: f64 = 0.04;
+const TELLING: f64 = 0.3;
+const ALIKE: f64 = 0.04;

@@ -4,6 +4,8 @@ use nalgebra::Vector6;
 use pseudoflow_geometry::{Pose, exp_se3, log_se3};
 use std::collections::VecDeque;
 
+/// A time in which nothing turns far, seconds.
+const SMALL_S: f64 = 0.01;
 /// Frames that are remembered: a search may take ten seconds.
 const FRAMES: usize = 600;
 
@@ -64,6 +66,12 @@ impl Velocity {
         from * exp_se3(&(self.per_s * gap_s))
     }
 
+    /// The same motion of the same thing, whose own frame is another.
+    pub(crate) fn turn(&mut self, object_from_other: &Pose) {
+        let small = exp_se3(&(self.per_s * SMALL_S));
+        self.per_s = log_se3(&(object_from_other.inverse() * small * object_from_other)) / SMALL_S;
+    }
+
     pub(crate) fn slow(&mut self, share: f64) {
         self.per_s *= share;
     }
@@ -82,6 +90,10 @@ mod tests {
         velocity.learn(&first, &(first * step), 0.1, 1.0);
         let next = velocity.predict(&(first * step), 0.1);
         assert!((next.to_homogeneous() - (first * step * step).to_homogeneous()).norm() < 1e-9);
+        let other = Pose::new(Vector3::new(0.01, 0.02, 0.0), Vector3::new(0.0, 0.5, 0.2));
+        velocity.turn(&other);
+        let turned = velocity.predict(&(first * step * other), 0.1);
+        assert!((turned.to_homogeneous() - (next * other).to_homogeneous()).norm() < 1e-9);
     }
 
     #[test]

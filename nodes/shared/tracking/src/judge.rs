@@ -53,7 +53,8 @@ impl Evidence {
     }
 
     pub(crate) fn looked_at(&mut self, likeness: Option<Likeness>) {
-        (self.likeness, self.contrast) = likeness.map_or((0.0, 0.0), |l| (l.correlation, l.contrast / (l.contrast + 10.0)));
+        (self.likeness, self.contrast) =
+            likeness.map_or((0.0, 0.0), |l| (l.correlation, l.contrast / (l.contrast + 10.0)));
     }
 }
 

@@ -10,23 +10,31 @@
 //! Nothing here knows of clocks, threads, networks or middleware: the same frames and corrections give the same bits.
 //! Frames, units, tangents: `pseudoflow-geometry`, `pseudoflow-contour`.
 
+mod at_rest;
 mod carry;
+mod compare;
 mod config;
 mod error;
+mod follow;
 mod history;
 mod judge;
 mod looks;
 mod measure;
 mod rest;
+mod settle;
 #[cfg(test)]
 mod testing;
+#[cfg(test)]
+mod tests;
 mod texture;
 mod track;
 mod tracker;
+mod types;
 
 pub use config::{TextureConfig, TrackingConfig};
 pub use error::TrackingError;
 pub use judge::Evidence;
 pub use looks::Look;
 pub use track::Phase;
-pub use tracker::{Correction, CorrectionKind, Estimate, Frame, FrameProblem, KnownObject, Step, Tracker};
+pub use tracker::Tracker;
+pub use types::{Correction, CorrectionKind, Estimate, Frame, FrameProblem, KnownObject, Step};

@@ -3,7 +3,7 @@
 use crate::config::TextureConfig;
 use crate::judge::Evidence;
 use crate::texture::{Keyframe, Pyramid, TextureTerm, matches};
-use crate::tracker::KnownObject;
+use crate::types::KnownObject;
 use crate::{TrackingConfig, TrackingError};
 use nalgebra::Matrix6;
 use pseudoflow_contour::{Colours, Hider, Image, Prior, Refiner, Region, Task};

@@ -27,8 +27,9 @@ pub(crate) struct Common {
     pub(crate) members: Vec<bool>,
 }
 
-/// Bodies that the motion misses by less are at rest, pixels of the image.
+/// Bodies that the motion misses by less are at rest: pixels of the image, and as much of the body's radius.
 const AGREE_PX: f64 = 2.5;
+const AGREE_RADII: f64 = 0.04;
 /// Along the ray a body is known less well by this factor.
 const DEPTH_SLACK: f64 = 4.0;
 
@@ -41,6 +42,11 @@ impl Body {
             let p = self.middle + Vector3::from(d);
             ((self.before * p).coords, (self.now * p).coords)
         })
+    }
+
+    fn agrees(&self, motion: &Pose, camera: &Intrinsics) -> bool {
+        let radius_px = self.radius_m * camera.fx / (self.now * self.middle).z.max(1e-3);
+        self.missed_px(motion, camera) < AGREE_PX + AGREE_RADII * radius_px
     }
 
     /// How far a motion misses the middle, pixels; depth counts less.
@@ -56,7 +62,7 @@ impl Body {
 pub(crate) fn common_motion(bodies: &[Body], camera: &Intrinsics) -> Option<Common> {
     let of_pair = |i: usize, j: usize| {
         let motion = fit(bodies.iter().enumerate().filter(|(k, _)| *k == i || *k == j).map(|(_, b)| b));
-        let members: Vec<bool> = bodies.iter().map(|b| b.missed_px(&motion, camera) < AGREE_PX).collect();
+        let members: Vec<bool> = bodies.iter().map(|b| b.agrees(&motion, camera)).collect();
         (members[i] && members[j]).then_some(members)
     };
     let n = bodies.len();

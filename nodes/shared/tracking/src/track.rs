@@ -38,6 +38,8 @@ pub(crate) struct Track {
     pub(crate) velocity: Velocity,
     pub(crate) colours: Colours,
     pub(crate) keyframes: Vec<Keyframe>,
+    /// Whether its mesh was just found to look as the picture does: a frame to remember.
+    pub(crate) texture_due: bool,
     /// No keyframe is tried before this frame.
     pub(crate) texture_from: u64,
     pub(crate) history: History,
@@ -52,8 +54,6 @@ pub(crate) struct Track {
     pub(crate) compared_at: u64,
     /// Where those at rest say that it is, when this frame does not show it surely.
     pub(crate) resting: Option<Pose>,
-    /// Whether it went on elsewhere in this frame.
-    pub(crate) jumped: bool,
     /// When a look was asked for that has not come back.
     pub(crate) asked_ns: Option<i64>,
     /// When a look was last asked for.
@@ -77,6 +77,7 @@ impl Track {
             velocity: Velocity::default(),
             colours: Colours::default(),
             keyframes: Vec::new(),
+            texture_due: false,
             texture_from: 0,
             history: History::default(),
             seen_ns: 0,
@@ -86,7 +87,6 @@ impl Track {
             likeness: None,
             compared_at: 0,
             resting: None,
-            jumped: false,
             asked_ns: None,
             looked_ns: None,
             evidence: Evidence::default(),

@@ -1,127 +1,21 @@
-use crate::config::TextureConfig;
-use crate::history::Moment;
-use crate::judge::Evidence;
+use crate::TrackingConfig;
+use crate::at_rest::BASELINE;
+use crate::error::TrackingError;
 use crate::looks::{self, Budget, Look};
-use crate::measure::{Eye, Subject, Trial, apart, nearest};
-use crate::rest::{Common, common_motion};
-use crate::texture::{Keyframe, Likeness, Maker, Pyramid};
+use crate::measure::{Eye, Trial};
+use crate::texture::{Maker, Pyramid};
 use crate::track::{Phase, Track};
-use crate::{TrackingConfig, TrackingError};
-use nalgebra::Matrix6;
-use pseudoflow_contour::{ContourModel, Hider, Image};
+use crate::types::{Correction, Estimate, Frame, FrameProblem, KnownObject, Step};
 use pseudoflow_geometry::{Intrinsics, Pose};
-use pseudoflow_imaging::raster::Item;
-use pseudoflow_imaging::{Mesh, RgbImage};
-use std::fmt;
+use std::collections::VecDeque;
 use std::sync::Arc;
-
-/// An object that can be followed.
-#[derive(Debug, Clone)]
-pub struct KnownObject {
-    /// Its id in the set.
-    pub id: u32,
-    /// Its mesh.
-    pub mesh: Arc<Mesh>,
-    /// Its contour from all sides.
-    pub contour: ContourModel,
-    /// Its diameter, metres.
-    pub diameter_m: f64,
-}
-
-/// A frame of the camera.
-#[derive(Debug, Clone, Copy)]
-pub struct Frame<'a> {
-    /// Its number; grows.
-    pub index: u64,
-    /// Its time, nanoseconds; grows.
-    pub stamp_ns: i64,
-    /// The pixels.
-    pub rgb: &'a RgbImage,
-    /// The camera.
-    pub intrinsics: Intrinsics,
-}
-
-/// Who found a pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum CorrectionKind {
-    /// A search, which knows nothing of the track: rough.
-    Found,
-    /// The network's look that was asked for.
-    Look {
-        /// Whether the look was judged better than the pose that it began from, or that pose right.
-        accepted: bool,
-    },
-}
-
-/// A pose that others have found in an earlier frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Correction {
-    /// The object.
-    pub object_id: u32,
-    /// The frame that it was found in.
-    pub frame: u64,
-    /// Its pose there.
-    pub camera_from_object: Pose,
-    /// Who found it.
-    pub kind: CorrectionKind,
-}
-
-/// An object in a frame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Estimate {
-    /// The object.
-    pub object_id: u32,
-    /// Its pose.
-    pub camera_from_object: Pose,
-    /// Whether the frame shows it there; else it is only believed to be there.
-    pub measured: bool,
-    /// Probability that the pose is right to a tenth of the diameter.
-    pub confidence: f64,
-    /// Row-major 6 x 6, tangent of `pseudoflow-contour`'s `retract`; grows while the pose is not measured.
-    pub covariance: [f64; 36],
-    /// Where its tracking stands.
-    pub phase: Phase,
-    /// Frames in a row in which it was seen, and in which it was not.
-    pub good_frames: u32,
-    /// See `good_frames`.
-    pub bad_frames: u32,
-    /// What the picture says.
-    pub evidence: Evidence,
-}
-
-/// Why a frame could not be used.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FrameProblem {
-    /// Its time is not after that of the frame before.
-    OutOfOrder,
-    /// It is black, or of one colour.
-    Dark,
-}
-
-impl fmt::Display for FrameProblem {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::OutOfOrder => "older than one before it: not used",
-            Self::Dark => "black or of one colour: objects are held where they are believed to be",
-        })
-    }
-}
-
-/// What became of a frame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Step {
-    /// Every object that was ever found; none when the frame is out of order.
-    pub estimates: Vec<Estimate>,
-    /// Why the frame could not be used.
-    pub problem: Option<FrameProblem>,
-}
 
 /// A frame with what is made of it once for all objects.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Now<'a> {
-    frame: Frame<'a>,
-    pyramid: &'a Arc<Pyramid>,
-    gap_s: f64,
+    pub(crate) frame: Frame<'a>,
+    pub(crate) pyramid: &'a Arc<Pyramid>,
+    pub(crate) gap_s: f64,
 }
 
 /// Follows objects from frame to frame.
@@ -130,9 +24,11 @@ pub struct Tracker {
     pub(crate) config: TrackingConfig,
     pub(crate) objects: Vec<KnownObject>,
     pub(crate) tracks: Vec<Track>,
-    eye: Eye,
-    maker: Maker,
-    last: Option<(u64, i64)>,
+    pub(crate) eye: Eye,
+    pub(crate) maker: Maker,
+    pub(crate) last: Option<(u64, i64)>,
+    /// The last frames, as many as rest is judged over.
+    pub(crate) recent: VecDeque<u64>,
     camera: Option<((u32, u32), Intrinsics)>,
     budget: Budget,
 }
@@ -155,6 +51,7 @@ impl Tracker {
             objects,
             tracks,
             last: None,
+            recent: VecDeque::new(),
             camera: None,
             budget: Budget::default(),
         })
@@ -166,6 +63,7 @@ impl Tracker {
             return Step { estimates: Vec::new(), problem: Some(FrameProblem::OutOfOrder) };
         };
         self.meet_camera(frame);
+        self.tracks.iter_mut().for_each(|t| t.resting = None);
         let pyramid = Arc::new(Pyramid::new(frame.rgb));
         let dark = pyramid.brightness().1 < DARK_SPREAD;
         let now = &Now { frame: *frame, pyramid: &pyramid, gap_s };
@@ -181,6 +79,10 @@ impl Tracker {
             self.remember_texture(now);
         }
         self.last = Some((frame.index, frame.stamp_ns));
+        self.recent.push_back(frame.index);
+        if self.recent.len() > BASELINE {
+            self.recent.pop_front();
+        }
         self.budget.earn(&self.config);
         Step { estimates: self.estimates(), problem: dark.then_some(FrameProblem::Dark) }
     }
@@ -209,34 +111,6 @@ impl Tracker {
         self.camera = Some(camera);
     }
 
-    /// Makes a keyframe of the object that needs one most; one a frame, so that no frame takes long.
-    fn remember_texture(&mut self, now: &Now<'_>) {
-        let TextureConfig { keyframes, keyframe_deg, .. } = self.config.texture;
-        let newness = |t: &Track| match t.learnt && t.confidence >= KEYFRAME_CONFIDENCE && keyframes > 0 {
-            true => nearest(&t.keyframes, &t.pose).map_or(f64::INFINITY, |k| apart(k, &t.pose).to_degrees()),
-            false => 0.0,
-        };
-        let ranked = (0..self.tracks.len()).map(|i| (newness(&self.tracks[i]), i));
-        let due = ranked.filter(|(n, i)| *n > keyframe_deg && now.frame.index >= self.tracks[*i].texture_from);
-        let Some((_, i)) = due.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))) else { return };
-        let item = |t: &Track| Item { mesh: &self.objects[t.object].mesh, camera_from_object: t.pose };
-        let others = self.tracks.iter().enumerate().filter(|(j, t)| *j != i && t.known && t.phase == Phase::Tracking);
-        let items: Vec<Item<'_>> = std::iter::once(item(&self.tracks[i])).chain(others.map(|(_, t)| item(t))).collect();
-        let made = self.maker.make(now.pyramid, &items, &now.frame.intrinsics);
-        let track = &mut self.tracks[i];
-        match made {
-            Some(keyframe) => track.keyframes.push(keyframe),
-            // Too plain, or too small: not tried again in every frame.
-            None => track.texture_from = now.frame.index + 30,
-        }
-        if track.keyframes.len() > keyframes {
-            let pose = track.pose;
-            let farthest = (0..keyframes)
-                .max_by(|a, b| apart(&track.keyframes[*a], &pose).total_cmp(&apart(&track.keyframes[*b], &pose)));
-            track.keyframes.remove(farthest.unwrap_or(0));
-        }
-    }
-
     /// Time since the last frame; `None` for a frame that is older by a little. After a jump back time begins anew.
     fn gap_s(&mut self, frame: &Frame<'_>) -> Option<f64> {
         let Some((_, stamp_ns)) = self.last else { return Some(self.config.frame_s) };
@@ -256,287 +130,6 @@ impl Tracker {
 
     fn predict(&self, track: &Track, gap_s: f64) -> Pose {
         track.velocity.predict(&track.pose, gap_s.min(self.config.longest_gap_s))
-    }
-
-    /// Measures every known object, nearer ones first, since they hide those behind.
-    fn measure_all(&mut self, now: &Now<'_>, predicted: &[Pose], corrections: &[Correction]) -> Vec<Option<Trial>> {
-        let mut poses = predicted.to_vec();
-        let mut trials = vec![None; self.tracks.len()];
-        for i in self.by_depth(predicted) {
-            let own = self.tracks[i].known.then(|| self.follow(i, now, &predicted[i], &poses));
-            let trial = self.correct(i, now, own, (predicted, corrections), &poses);
-            if let Some(trial) = trial.filter(|t| t.evidence.seen() >= self.config.min_seen) {
-                poses[i] = trial.pose;
-            }
-            trials[i] = trial;
-        }
-        trials
-    }
-
-    fn by_depth(&self, poses: &[Pose]) -> Vec<usize> {
-        let mut order: Vec<usize> = (0..poses.len()).collect();
-        order.sort_by(|a, b| poses[*a].translation.z.total_cmp(&poses[*b].translation.z));
-        order
-    }
-
-    fn follow(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
-        let keyframes = std::mem::take(&mut self.tracks[i].keyframes);
-        let trial = self.follow_with(i, now, start, poses, &keyframes);
-        self.tracks[i].keyframes = keyframes;
-        trial
-    }
-
-    fn follow_contour(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
-        self.follow_with(i, now, start, poses, &[])
-    }
-
-    fn follow_with(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose], keyframes: &[Keyframe]) -> Trial {
-        let mut colours = std::mem::take(&mut self.tracks[i].colours);
-        let Self { eye, objects, tracks, .. } = self;
-        let hiders = hiders(objects, tracks, i, poses);
-        let subject = subject(now, &objects[tracks[i].object], &hiders);
-        let trial = match colours.is_empty() {
-            true => eye.find(&subject, start),
-            false => eye.follow(&subject, start, &mut colours, keyframes),
-        };
-        self.tracks[i].colours = colours;
-        trial
-    }
-
-    /// The better of the prediction and of what others have found.
-    fn correct(
-        &mut self,
-        i: usize,
-        now: &Now<'_>,
-        own: Option<Trial>,
-        (predicted, corrections): (&[Pose], &[Correction]),
-        poses: &[Pose],
-    ) -> Option<Trial> {
-        let id = self.objects[self.tracks[i].object].id;
-        let mut best = own;
-        for correction in corrections.iter().filter(|c| c.object_id == id) {
-            let search = correction.kind == CorrectionKind::Found;
-            let sure = self.tracks[i].phase == Phase::Tracking && self.tracks[i].measured;
-            if search && sure && self.tracks[i].known {
-                continue;
-            }
-            if !search {
-                self.tracks[i].asked_ns = None;
-            }
-            let start = self.carried(i, correction, predicted, &now.frame.intrinsics);
-            let trial = self.try_at(i, now, &start, poses);
-            let Some(own) = best.filter(|_| self.tracks[i].known) else {
-                best = Some(self.begin(i, now, trial));
-                continue;
-            };
-            if self.near(i, &own.pose, &trial.pose) {
-                continue;
-            }
-            let (own, trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
-            let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
-            if search && (trial.confidence > own.confidence || given_up) {
-                best = Some(self.begin(i, now, trial));
-            } else if !search && self.prefers(&own, &trial, correction, self.tracks[i].phase == Phase::Tracking) {
-                self.jump(i, &trial);
-                best = Some(trial);
-            }
-        }
-        best
-    }
-
-    /// A trial with what a rendering of it says.
-    fn compared(&mut self, i: usize, now: &Now<'_>, trial: &Trial, poses: &[Pose]) -> Trial {
-        let likeness = self.likeness(i, now, &trial.pose, poses);
-        let mut trial = *trial;
-        trial.evidence.looked_at(likeness);
-        trial.confidence = trial.evidence.confidence();
-        trial
-    }
-
-    fn likeness(&mut self, i: usize, now: &Now<'_>, pose: &Pose, poses: &[Pose]) -> Option<Likeness> {
-        let Self { maker, objects, tracks, .. } = self;
-        let items = items(objects, tracks, i, pose, poses);
-        maker.likeness(now.pyramid, &items, &now.frame.intrinsics)
-    }
-
-    /// Compares a rendering of one object with the picture, each in turn, so that no frame takes long.
-    fn compare_one(&mut self, now: &Now<'_>, trials: &mut [Option<Trial>], predicted: &[Pose]) {
-        let there = |i: &usize| trials[*i].is_some_and(|t| t.evidence.lines > 0.0);
-        let mut due: Vec<usize> = (0..trials.len()).filter(there).collect();
-        due.sort_by_key(|i| self.tracks[*i].compared_at);
-        // After a long gap what was seen before tells little, and there is time.
-        let at_most = if now.gap_s > LONG_FRAMES * self.config.frame_s { due.len() } else { 1 };
-        let poses = poses_of(trials, predicted);
-        for i in due.into_iter().take(at_most) {
-            self.tracks[i].compared_at = now.frame.index + 1;
-            self.tracks[i].likeness = self.likeness(i, now, &poses[i], &poses);
-            if let Some(trial) = self.anchored(i, now, &poses) {
-                trials[i] = Some(trial);
-            }
-        }
-    }
-
-    /// A pose that the mesh itself, rendered where the object is believed to be, is more like than there.
-    fn anchored(&mut self, i: usize, now: &Now<'_>, poses: &[Pose]) -> Option<Trial> {
-        let before = self.tracks[i].likeness.filter(|l| l.contrast > ANCHOR_CONTRAST && l.correlation < ANCHORED)?;
-        let keyframe = {
-            let Self { maker, objects, tracks, .. } = self;
-            maker.rendered(now.pyramid, &items(objects, tracks, i, &poses[i], poses), &now.frame.intrinsics)?
-        };
-        let wide = Now { gap_s: now.gap_s.max(ANCHOR_GAP_S), ..*now };
-        let trial = self.follow_with(i, &wide, &poses[i], poses, &[keyframe]);
-        if trial.evidence.seen() < self.config.min_seen {
-            return None;
-        }
-        let after = self.likeness(i, now, &trial.pose, poses)?;
-        if after.correlation < before.correlation + ANCHOR_GAIN {
-            return None;
-        }
-        self.jump(i, &trial);
-        self.tracks[i].likeness = Some(after);
-        Some(trial)
-    }
-
-    /// A pose that others have found, in this frame.
-    fn try_at(&mut self, i: usize, now: &Now<'_>, start: &Pose, poses: &[Pose]) -> Trial {
-        match self.tracks[i].measured {
-            true => self.follow_contour(i, now, start, poses),
-            false => {
-                let Self { eye, objects, tracks, .. } = self;
-                let hiders = hiders(objects, tracks, i, poses);
-                eye.find(&subject(now, &objects[tracks[i].object], &hiders), start)
-            }
-        }
-    }
-
-    /// Begins a track anew where a search has found its object.
-    fn begin(&mut self, i: usize, now: &Now<'_>, trial: Trial) -> Trial {
-        let track = &mut self.tracks[i];
-        let phase = track.phase;
-        *track = Track::new(track.object);
-        (track.phase, track.known, track.pose, track.seen_ns) = (phase, true, trial.pose, now.frame.stamp_ns);
-        trial
-    }
-
-    /// A track goes on elsewhere: what was remembered moves with it.
-    fn jump(&mut self, i: usize, to: &Trial) {
-        let track = &mut self.tracks[i];
-        track.history.correct(&(track.pose.inverse() * to.pose));
-        track.velocity.slow(0.0);
-        track.colours = Default::default();
-        track.keyframes.clear();
-        (track.likeness, track.compared_at) = (None, 0);
-        track.jumped = true;
-    }
-
-    /// How what is at rest moved since some frames ago.
-    fn common(&self, trials: &[Option<Trial>], predicted: &[Pose], frame: &Frame<'_>) -> Option<(Common, Vec<usize>)> {
-        let (last, _) = self.last?;
-        let now = poses_of(trials, predicted);
-        let sure = |i: usize| trials[i].is_some_and(|t| t.evidence.seen() >= self.config.learn_seen);
-        let bodies = self.bodies(last.saturating_sub(BASELINE - 1), &now, |i| sure(i) && !self.tracks[i].jumped);
-        let places: Vec<usize> = (0..bodies.len()).filter(|i| bodies[*i].is_some()).collect();
-        let bodies: Vec<_> = bodies.into_iter().flatten().collect();
-        Some((common_motion(&bodies, &frame.intrinsics)?, places))
-    }
-
-    /// Counts who is at rest, and looks for what is not sure where those at rest say that it is.
-    fn measure_at_rest(&mut self, now: &Now<'_>, trials: &mut [Option<Trial>], common: Option<&(Common, Vec<usize>)>) {
-        let Some((common, places)) = common else { return };
-        for (member, i) in common.members.iter().zip(places) {
-            self.tracks[*i].at_rest = if *member { self.tracks[*i].at_rest + 1 } else { 0 };
-        }
-        let poses: Vec<Pose> = poses_of(trials, &self.tracks.iter().map(|t| t.pose).collect::<Vec<_>>());
-        let sure: Vec<bool> =
-            (0..poses.len()).map(|i| common.members.iter().zip(places).any(|(m, p)| *p == i && *m)).collect();
-        for i in 0..self.tracks.len() {
-            let unsure = trials[i].is_some_and(|t| t.evidence.seen() < self.config.learn_seen);
-            self.tracks[i].resting = None;
-            if !(unsure && self.tracks[i].at_rest >= REST_FRAMES) {
-                continue;
-            }
-            let Some(there) = self.resting_pose(i, &poses, &sure, &now.frame.intrinsics) else { continue };
-            self.tracks[i].resting = Some(there);
-            let trial = self.follow(i, now, &there, &poses);
-            if trials[i].is_none_or(|own| trial.evidence.seen() >= own.evidence.seen() - REST_BONUS) {
-                trials[i] = Some(trial);
-            }
-        }
-    }
-
-    /// Where an object must be if it has not been moved since it was last seen.
-    fn resting_pose(&self, i: usize, now: &[Pose], sure: &[bool], camera: &Intrinsics) -> Option<Pose> {
-        let seen = self.tracks[i].history.last_measured()?;
-        let bodies: Vec<_> = self
-            .bodies(seen.frame, now, |j| j != i && sure[j] && self.tracks[j].at_rest >= REST_FRAMES)
-            .into_iter()
-            .flatten()
-            .collect();
-        Some(common_motion(&bodies, camera)?.motion * seen.pose)
-    }
-
-    /// Takes a measured pose over, or holds the object where it is believed to be.
-    fn settle(&mut self, i: usize, now: &Now<'_>, predicted: &Pose, trials: &[Option<Trial>]) {
-        let Some(trial) = trials[i].filter(|_| self.tracks[i].known) else { return };
-        self.tracks[i].evidence = trial.evidence;
-        self.tracks[i].confidence = trial.confidence;
-        match trial.evidence.seen() >= self.config.min_seen {
-            true => self.take(i, now, &trial, trials),
-            false => self.hold(i, now, predicted),
-        }
-        let (hold_s, lose_confidence) = (self.config.hold_s, self.config.lose_confidence);
-        let track = &mut self.tracks[i];
-        if track.phase != Phase::Tracking && trial.evidence.lines > 0.0 {
-            // Nobody believes its pose yet, so nothing is lost by a step of little evidence.
-            track.pose = trial.pose;
-        }
-        if trial.confidence >= lose_confidence || !track.measured {
-            track.sure_ns = now.frame.stamp_ns;
-        }
-        if track.phase == Phase::Tracking && (now.frame.stamp_ns - track.sure_ns) as f64 * 1e-9 > hold_s {
-            track.phase = Phase::Lost;
-        }
-        track.history.push(Moment { frame: now.frame.index, pose: track.pose, measured: track.measured });
-        track.jumped = false;
-    }
-
-    fn take(&mut self, i: usize, now: &Now<'_>, trial: &Trial, trials: &[Option<Trial>]) {
-        let sure = trial.evidence.seen() >= self.config.learn_seen;
-        let track = &mut self.tracks[i];
-        if track.measured && !track.jumped && track.good > 0 {
-            track.velocity.learn(&track.pose, &trial.pose, now.gap_s, self.config.velocity_gain);
-        }
-        (track.pose, track.measured, track.seen_ns) = (trial.pose, true, now.frame.stamp_ns);
-        (track.good, track.bad) = (track.good + 1, 0);
-        track.covariance = inverse(&trial.information) * self.config.covariance_scale;
-        track.learnt = sure;
-        if track.good >= CONFIRM_FRAMES && trial.confidence >= self.config.min_confidence {
-            track.phase = Phase::Tracking;
-        }
-        if sure || track.colours.is_empty() {
-            let poses = poses_of(trials, &self.tracks.iter().map(|t| t.pose).collect::<Vec<_>>());
-            let mut colours = std::mem::take(&mut self.tracks[i].colours);
-            let Self { eye, objects, tracks, config, .. } = self;
-            let hiders = hiders(objects, tracks, i, &poses);
-            let subject = subject(now, &objects[tracks[i].object], &hiders);
-            eye.learn(&subject, &trial.pose, &mut colours, config.renewal);
-            self.tracks[i].colours = colours;
-        }
-    }
-
-    fn hold(&mut self, i: usize, now: &Now<'_>, predicted: &Pose) {
-        let gap_s = now.gap_s;
-        let (hold_s, frame_s) = (self.config.hold_s, self.config.frame_s);
-        let diameter_m = self.objects[self.tracks[i].object].diameter_m;
-        let track = &mut self.tracks[i];
-        track.pose = track.resting.unwrap_or(*predicted);
-        (track.measured, track.learnt, track.good, track.bad) = (false, false, 0, track.bad + 1);
-        track.velocity.slow(SLOWING.powf(gap_s / frame_s));
-        track.covariance += spread_per_s(diameter_m) * gap_s;
-        let hold_s = if track.resting.is_some() { hold_s * REST_PATIENCE } else { hold_s };
-        if track.phase == Phase::Tracking && track.unseen_s(now.frame.stamp_ns) > hold_s {
-            track.phase = Phase::Lost;
-        }
     }
 
     /// The looks that are wanted of a network at the last frame; they count as asked for.
@@ -577,57 +170,3 @@ impl Tracker {
 
 /// A picture whose brightness has a smaller standard deviation shows nothing, grey levels.
 const DARK_SPREAD: f32 = 2.0;
-/// Renderings less like the picture than this are moved to it, if they have so much contrast (grey levels); by at least so much
-/// they must then be more alike.
-const ANCHORED: f64 = 0.8;
-const ANCHOR_CONTRAST: f64 = 5.0;
-const ANCHOR_GAIN: f64 = 0.03;
-/// How far off a rendering may be: as far as things move in this time.
-const ANCHOR_GAP_S: f64 = 0.5;
-/// Confidence from which a frame is a keyframe: a wrong one would hold the object where it is.
-const KEYFRAME_CONFIDENCE: f64 = 0.15;
-/// Gaps of more frames than this are long.
-const LONG_FRAMES: f64 = 3.0;
-/// Frames over which rest is judged, and for how many it must last.
-const BASELINE: u64 = 6;
-const REST_FRAMES: u32 = 5;
-/// How much less sure a pose may be that those at rest speak for.
-const REST_BONUS: f64 = 0.1;
-/// How much longer than others an object is held that others say is still there.
-const REST_PATIENCE: f64 = 10.0;
-/// Frames in a row that make what was found a track without a look of the network.
-const CONFIRM_FRAMES: u32 = 5;
-/// Share of the velocity that is left after a frame that did not show the object.
-const SLOWING: f64 = 0.85;
-
-/// How fast the place of an object becomes unknown that is not seen: a tenth of the diameter and 10 degrees in a second.
-fn spread_per_s(diameter_m: f64) -> Matrix6<f64> {
-    let (m2, rad2) = ((0.1 * diameter_m).powi(2), 10_f64.to_radians().powi(2));
-    Matrix6::from_diagonal(&nalgebra::Vector6::new(m2, m2, m2, rad2, rad2, rad2))
-}
-
-fn inverse(information: &Matrix6<f64>) -> Matrix6<f64> {
-    information.cholesky().map_or_else(Matrix6::identity, |c| c.inverse())
-}
-
-fn poses_of(trials: &[Option<Trial>], otherwise: &[Pose]) -> Vec<Pose> {
-    trials.iter().zip(otherwise).map(|(t, p)| t.map_or(*p, |t| t.pose)).collect()
-}
-
-/// An object, and the others that may hide it, to be rendered.
-fn items<'a>(objects: &'a [KnownObject], tracks: &[Track], i: usize, pose: &Pose, poses: &[Pose]) -> Vec<Item<'a>> {
-    let item = |j: usize, pose: &Pose| Item { mesh: &objects[tracks[j].object].mesh, camera_from_object: *pose };
-    let others = (0..tracks.len()).filter(|j| *j != i && tracks[*j].known && tracks[*j].phase == Phase::Tracking);
-    std::iter::once(item(i, pose)).chain(others.map(|j| item(j, &poses[j]))).collect()
-}
-
-/// The other objects that may hide one.
-fn hiders<'a>(objects: &'a [KnownObject], tracks: &[Track], i: usize, poses: &[Pose]) -> Vec<Hider<'a>> {
-    let others = (0..tracks.len()).filter(|j| *j != i && tracks[*j].known && tracks[*j].phase == Phase::Tracking);
-    others.map(|j| Hider { model: &objects[tracks[j].object].contour, camera_from_object: poses[j] }).collect()
-}
-
-fn subject<'a>(now: &Now<'a>, object: &'a KnownObject, hiders: &'a [Hider<'a>]) -> Subject<'a> {
-    let image = Image { rgb: now.frame.rgb, intrinsics: now.frame.intrinsics };
-    Subject { image, object, hiders, pyramid: now.pyramid, gap_s: now.gap_s }
-}

@@ -269,7 +269,9 @@ impl<N: Node> Runner<'_, N> {
 
     fn close(mut self, ending: Ending) -> Result<(), RunError> {
         self.launch.beat(None);
-        self.launch.board.set_state(self.launch.me, State::Closing);
+        if N::KEEPS {
+            self.launch.board.set_state(self.launch.me, State::Closing);
+        }
         self.node.finish(&self.context).map_err(|error| self.launch.node_error("end", &error))?;
         self.count_cpu(Word::CpuNs);
         if ending == Ending::InOrder {

@@ -131,7 +131,10 @@ impl Outputs for IpcOutputs {
         len: usize,
         fill: &mut dyn FnMut(&mut [u8]),
     ) -> Result<(), NodeError> {
-        self.make_way(key);
+        // What nobody joins may belong to an earlier frame: the one that waits stays.
+        if self.ports.iter().any(|p| p.name == port && p.joined) {
+            self.make_way(key);
+        }
         let found = self.ports.iter_mut().find(|p| p.name == port);
         let port = found.ok_or_else(|| OutputError::Unknown(port.to_owned()))?;
         let Some(publisher) = &port.publisher else { return Ok(()) };

@@ -14,7 +14,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender};
 use std::time::{Duration, Instant};
 
 const TICK: Duration = Duration::from_millis(50);
@@ -57,6 +57,9 @@ enum Phase {
     KillingAll,
 }
 
+/// What the supervisor is told, and where to tell it.
+pub(super) type Events = (Sender<Event>, Receiver<Event>);
+
 pub(super) struct Control<'a> {
     plan: &'a Plan,
     board: &'a Board,
@@ -65,11 +68,13 @@ pub(super) struct Control<'a> {
     run_dir: PathBuf,
     command: Vec<OsString>,
     charges: Vec<Charge>,
-    events: (Sender<Event>, Receiver<Event>),
+    events: Events,
     phase: Phase,
     next_phase_at: Option<Instant>,
     failure: Option<SupervisorError>,
     killed: Vec<String>,
+    /// Whether all nodes were there when the run was asked to stop.
+    had_begun: bool,
     incidents: VecDeque<Incident>,
     watchdog: Watchdog,
     begin: Instant,
@@ -86,6 +91,7 @@ impl<'a> Control<'a> {
         territory: &'a Territory,
         options: &'a Options,
         graph: &'a Path,
+        events: Events,
     ) -> Result<Self, SupervisorError> {
         let node = territory.ipc().node("supervisor")?;
         let mut topics = Vec::new();
@@ -113,11 +119,12 @@ impl<'a> Control<'a> {
             run_dir: options.run_dir.clone(),
             command: command(options)?,
             charges: plan.nodes.iter().map(|_| charge()).collect(),
-            events: channel(),
+            events,
             phase: Phase::Running,
             next_phase_at: None,
             failure: None,
             killed: Vec::new(),
+            had_begun: false,
             incidents: VecDeque::new(),
             watchdog: Watchdog::new(Deadlines { frame, start }, plan.nodes.len()),
             begin: Instant::now(),
@@ -130,7 +137,6 @@ impl<'a> Control<'a> {
 
     /// Runs to the end; `true` when the run was asked to stop.
     pub(super) fn run(&mut self) -> Result<bool, SupervisorError> {
-        let signals = forward_signals(self.events.0.clone());
         for node in 0..self.charges.len() {
             self.start(node);
         }
@@ -144,7 +150,6 @@ impl<'a> Control<'a> {
             self.look_around();
         }
         self.table.clear();
-        drop(signals);
         match self.failure.take() {
             Some(failure) => Err(failure),
             // A live run loses frames anyway, and one that had not begun has none.
@@ -293,9 +298,7 @@ impl<'a> Control<'a> {
                 self.options.stop_timeout
             }
             Phase::Running | Phase::Stopping => {
-                if self.failure.is_none() && self.phase == Phase::Stopping {
-                    self.killed = self.living().map(|node| self.plan.nodes[node].name.clone()).collect();
-                }
+                self.had_begun = self.phase == Phase::Stopping;
                 self.phase = Phase::Terminating;
                 self.board.request_stop();
                 self.charges.iter_mut().for_each(|charge| charge.start_at = None);
@@ -304,16 +307,24 @@ impl<'a> Control<'a> {
             }
             Phase::Terminating => {
                 self.phase = Phase::Killing;
-                self.signal_all(Signal::KILL, |state| state != State::Closing);
+                self.kill_all(|state| state != State::Closing);
                 CLOSING_GRACE
             }
             Phase::Killing | Phase::KillingAll => {
                 self.phase = Phase::KillingAll;
-                self.signal_all(Signal::KILL, |_| true);
+                self.kill_all(|_| true);
                 CLOSING_GRACE
             }
         };
         self.next_phase_at = Some(Instant::now() + pause);
+    }
+
+    /// Kills all in such states; who had begun and is no failure's victim is named.
+    fn kill_all(&mut self, which: impl Fn(State) -> bool) {
+        let named = self.had_begun && self.failure.is_none();
+        let killed: Vec<usize> = self.living().filter(|node| named && which(self.board.state(*node))).collect();
+        self.killed.extend(killed.into_iter().map(|node| self.plan.nodes[node].name.clone()));
+        self.signal_all(Signal::KILL, which);
     }
 
     /// Nodes that have a process, or will have one again.
@@ -353,7 +364,7 @@ fn command(options: &Options) -> Result<Vec<OsString>, SupervisorError> {
 }
 
 /// Sends SIGINT, SIGTERM and SIGHUP (the terminal is gone) on as events for as long as the guard lives.
-fn forward_signals(events: Sender<Event>) -> Option<SignalGuard> {
+pub(super) fn forward_signals(events: Sender<Event>) -> Option<SignalGuard> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let mut signals = signal_hook::iterator::Signals::new([SIGHUP, SIGINT, SIGTERM])
         .inspect_err(|error| log::warn!("signals cannot be handled: {error}"))
@@ -363,7 +374,7 @@ fn forward_signals(events: Sender<Event>) -> Option<SignalGuard> {
     Some(SignalGuard(handle))
 }
 
-struct SignalGuard(signal_hook::iterator::Handle);
+pub(super) struct SignalGuard(signal_hook::iterator::Handle);
 
 impl Drop for SignalGuard {
     fn drop(&mut self) {

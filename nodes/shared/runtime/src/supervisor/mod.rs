@@ -28,7 +28,8 @@ pub struct Options {
     /// with `node`.
     pub command: Option<Vec<OsString>>,
     /// How long a run may take to end in order once it is asked to stop. Then its nodes are told to close what they keep,
-    /// 300 ms later they are killed; only one that is writing its files by then may finish that.
+    /// 300 ms later they are killed; only one that keeps what would be lost (a recorder) may
+    /// finish that.
     pub stop_timeout: Duration,
     /// Asks the run to stop, as SIGINT and SIGTERM do.
     pub stop: Arc<AtomicBool>,
@@ -132,17 +133,21 @@ pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summ
     crate::graph::check(graph, registry).map_err(GraphError::Problems)?;
     let plan = Plan::new(graph, registry)?;
     let begin_ns = crate::clock::monotonic_ns();
+    // From here on there is something to give back: no signal may end this process before that.
+    let events = std::sync::mpsc::channel();
+    let signals = control::forward_signals(events.0.clone());
     let territory = territory::Territory::claim(&options.run_dir, plan.nodes.len())?;
     let file = options.run_dir.join("graph.yaml");
     let as_it_runs = graph.resolved().map_err(GraphError::Problems)?.to_yaml()?;
     crate::files::write(&file, as_it_runs.as_bytes())
         .map_err(|source| SupervisorError::File { path: file.clone(), source })?;
-    let mut control = control::Control::new(&plan, &territory, options, &file)?;
+    let mut control = control::Control::new(&plan, &territory, options, &file, events)?;
     let result = control.run();
     let mut summary = Summary::of(&plan, territory.board()).since(begin_ns, plan.source, territory.board());
     control.tell(&mut summary);
     drop(control);
     drop(territory);
+    drop(signals);
     if options.print {
         summary::print(&summary);
     }

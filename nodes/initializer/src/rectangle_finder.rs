@@ -1,0 +1,190 @@
+//! The node `rectangle_finder`: where another detector says that an object is, it is looked for from all sides, without a network
+//! that was trained to find it. Only the flow network's features are needed ([`Comparer`]).
+//!
+//! | port | | what |
+//! |---|---|---|
+//! | `frame` | in, joined | the camera |
+//! | `rectangles` | in, joined | recordings: what a detector saw in this frame |
+//! | `detected` | in, late | live: an image of the past with what a detector saw in it |
+//! | `initial_poses` | out | of `rectangles`: poses for the renderer, the best first, further hypotheses behind |
+//! | `found` | out | the best pose of each object, keyed by the frame it was seen in, for the tracker |
+
+use crate::compare::{CompareConfig, Comparer, Match, Photograph};
+use crate::detect::Rectangle as Place;
+use nalgebra::{Point2, Vector2};
+use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
+use pseudoflow_imaging::{ObjectSet, RgbImage};
+use pseudoflow_inference::EngineConfig;
+use pseudoflow_msgs::{
+    CameraFrame, CameraFrameHeader, DetectedFrame, FrameKey, Message, ObjectPose, ObjectPoses, PoseSource, PoseStatus,
+    Rectangle, Rectangles,
+};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Settings of the node `rectangle_finder`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RectangleFinderConfig {
+    /// Folder of the object set (BOP `models/`).
+    pub objects: PathBuf,
+    /// How the objects, rendered from all sides, are held against the image.
+    pub compare: CompareConfig,
+    /// Poses of one object in a frame, the surest rectangles first.
+    #[serde(default = "default_max_instances")]
+    pub max_instances: usize,
+    /// Engine, provider, threads.
+    #[serde(default)]
+    pub engine: EngineConfig,
+}
+
+fn default_max_instances() -> usize {
+    1
+}
+
+/// Rectangles in, first poses out.
+pub struct RectangleFinder {
+    objects: ObjectSet,
+    comparer: Comparer,
+    max_instances: usize,
+}
+
+impl RectangleFinder {
+    /// The poses of what stands in rectangles of an image, hypotheses of an instance behind each other.
+    fn find(
+        &mut self,
+        header: &CameraFrameHeader,
+        rgb: &[u8],
+        rectangles: &[Rectangle],
+    ) -> Result<Vec<ObjectPose>, NodeError> {
+        let [fx, fy, cx, cy] = header.intrinsics;
+        let camera = Intrinsics { fx, fy, cx, cy };
+        let image =
+            RgbImage::from_raw(header.width, header.height, rgb.to_vec()).ok_or("the frame has too few pixels")?;
+        let photograph = Photograph { image: &image, camera: &camera };
+        let mut surest: Vec<&Rectangle> = rectangles.iter().collect();
+        surest.sort_by(|a, b| b.score.total_cmp(&a.score));
+        let mut poses = Vec::<ObjectPose>::new();
+        for rectangle in surest {
+            let object_id = rectangle.object_id;
+            let instance = ObjectPose::likeliest(&poses).filter(|pose| pose.object_id == object_id).count();
+            if instance >= self.max_instances {
+                continue;
+            }
+            let Ok(object) = self.objects.get(object_id) else {
+                log::warn!("a rectangle of object {object_id}, which the set does not have");
+                continue;
+            };
+            let glance = self.comparer.glance(&photograph, object, &place(rectangle))?;
+            let best = self.comparer.best(&photograph, object, &glance)?;
+            poses.extend(best.iter().map(|found| pose(rectangle, instance as u32, found)));
+        }
+        Ok(poses)
+    }
+
+    /// Of images of the past the newest alone: what was seen before it is no longer of use.
+    fn find_late(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
+        let Some((key, bytes)) = inputs.late("detected").into_iter().max_by_key(|(key, _)| key.index) else {
+            return Ok(());
+        };
+        let seen = DetectedFrame::view(bytes)?;
+        let poses = self.find(seen.header, seen.rgb, seen.rectangles)?;
+        send_found(outputs, key, seen.header, &poses)
+    }
+}
+
+fn place(rectangle: &Rectangle) -> Place {
+    let [left, top, right, bottom] = [rectangle.left, rectangle.top, rectangle.right, rectangle.bottom].map(f64::from);
+    Place {
+        middle_px: Point2::new((left + right) / 2.0, (top + bottom) / 2.0),
+        size_px: Vector2::new(right - left, bottom - top),
+    }
+}
+
+fn pose(rectangle: &Rectangle, instance: u32, found: &Match) -> ObjectPose {
+    ObjectPose {
+        object_id: rectangle.object_id,
+        instance,
+        status: PoseStatus::Ok as u32,
+        source: PoseSource::Initializer as u32,
+        score: f64::from(rectangle.score) * found.similarity.clamp(0.0, 1.0),
+        rotation_xyzw: quaternion_xyzw(&found.camera_from_object),
+        translation_m: found.camera_from_object.translation.vector.into(),
+        covariance: [0.0; 36],
+    }
+}
+
+fn send_poses(
+    outputs: &mut dyn Outputs,
+    port: &'static str,
+    key: FrameKey,
+    header: &CameraFrameHeader,
+    poses: &[ObjectPose],
+) -> Result<(), NodeError> {
+    outputs.send(port, key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+        ObjectPoses::write(bytes, header.scene_id, header.image_id, poses);
+    })
+}
+
+fn send_found(
+    outputs: &mut dyn Outputs,
+    key: FrameKey,
+    header: &CameraFrameHeader,
+    poses: &[ObjectPose],
+) -> Result<(), NodeError> {
+    let likeliest: Vec<ObjectPose> = ObjectPose::likeliest(poses).copied().collect();
+    send_poses(outputs, "found", key, header, &likeliest)
+}
+
+impl Node for RectangleFinder {
+    const KIND: &'static str = "rectangle_finder";
+    const ROLE: Role = Role::Transform;
+    type Config = RectangleFinderConfig;
+
+    fn inputs() -> Vec<PortSpec> {
+        vec![
+            PortSpec::required::<CameraFrame<'static>>("frame"),
+            PortSpec::optional::<Rectangles<'static>>("rectangles"),
+            PortSpec::late::<DetectedFrame<'static>>("detected"),
+        ]
+    }
+
+    fn outputs() -> Vec<PortSpec> {
+        vec![
+            PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
+            PortSpec::optional::<ObjectPoses<'static>>("found"),
+        ]
+    }
+
+    fn check(config: &RectangleFinderConfig) -> Result<(), NodeError> {
+        config.compare.check()?;
+        if config.max_instances == 0 {
+            return Err("`max_instances: 0`: give at least 1".into());
+        }
+        if !config.objects.join("models_info.json").is_file() {
+            let folder = config.objects.display();
+            return Err(format!("`objects: {folder}`: no models_info.json there: give a BOP models folder").into());
+        }
+        Ok(())
+    }
+
+    fn create(config: RectangleFinderConfig, _: &Context) -> Result<Self, NodeError> {
+        let objects = ObjectSet::load(&config.objects)?;
+        let comparer = Comparer::open(&config.compare, &objects, &config.engine)?;
+        Ok(Self { objects, comparer, max_instances: config.max_instances })
+    }
+
+    fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
+        self.find_late(inputs, outputs)?;
+        let (key, frame) = (inputs.key(), read::<CameraFrame<'static>>(inputs, "frame")?);
+        if inputs.bytes("rectangles").is_none() {
+            return send_poses(outputs, "initial_poses", key, frame.header, &[]);
+        }
+        let seen = read::<Rectangles<'static>>(inputs, "rectangles")?;
+        let poses = self.find(frame.header, frame.rgb, seen.rectangles)?;
+        send_poses(outputs, "initial_poses", key, frame.header, &poses)?;
+        send_found(outputs, key, frame.header, &poses)
+    }
+}

@@ -1,0 +1,156 @@
+//! A spotted box before a busy wall, rendered: its truth is known.
+
+use crate::testing::spotted;
+use crate::{Correction, CorrectionKind, Frame, FrameProblem, KnownObject, Phase, Step, Tracker, TrackingConfig};
+use nalgebra::{Vector3, Vector6};
+use pseudoflow_contour::{ContourModel, ModelSettings, retract};
+use pseudoflow_geometry::{Intrinsics, Pose, rotation_angle_rad};
+use pseudoflow_imaging::RgbImage;
+use pseudoflow_imaging::raster::{Background, Headlight, Item, Rendering, Scene, Scratch, render_scene};
+use pseudoflow_imaging::shapes::cuboid;
+use std::sync::{Arc, OnceLock};
+
+const K: Intrinsics = Intrinsics { fx: 500.0, fy: 500.0, cx: 159.5, cy: 119.5 };
+const DIAMETER_M: f64 = 0.15;
+
+fn object() -> &'static KnownObject {
+    static OBJECT: OnceLock<KnownObject> = OnceLock::new();
+    OBJECT.get_or_init(|| {
+        let mesh = spotted(&cuboid([0.11, 0.08, 0.06], [9; 3]).unwrap());
+        let contour = ContourModel::new(&mesh, &ModelSettings { divisions: 2, ..ModelSettings::default() }).unwrap();
+        KnownObject { id: 4, mesh: Arc::new(mesh), contour, diameter_m: DIAMETER_M }
+    })
+}
+
+/// Where the box is in a frame: it moves and turns as a hand would move it.
+fn truth(frame: u64) -> Pose {
+    let t = frame as f64 / 30.0;
+    Pose::new(Vector3::new(0.03 * (2.0 * t).sin(), 0.02 * t, 0.5 + 0.03 * t), Vector3::new(0.5 + 0.3 * t, 0.4 * t, 0.2))
+}
+
+/// The frame; `hidden` puts a grey card before all but the left third of the image.
+fn picture(frame: u64, hidden: bool) -> RgbImage {
+    let wall = RgbImage::from_fn(320, 240, |x, y| {
+        let v = (40 + (x / 9 * 37 + y / 7 * 53) % 60) as u8;
+        [v, v / 2 + 60, 150 - v].into()
+    });
+    let scene = Scene {
+        items: &[Item { mesh: &object().mesh, camera_from_object: truth(frame) }],
+        intrinsics: K,
+        width: 320,
+        height: 240,
+        background: Background::Image(&wall),
+    };
+    let mut out = Rendering::new(320, 240);
+    render_scene(&scene, &Headlight::default(), &mut Scratch::default(), &mut out);
+    if hidden {
+        out.rgb.enumerate_pixels_mut().filter(|(x, ..)| *x > 60).for_each(|(_, _, p)| *p = [200, 190, 90].into());
+    }
+    out.rgb
+}
+
+fn step(tracker: &mut Tracker, index: u64, rgb: &RgbImage, corrections: &[Correction]) -> Step {
+    let stamp_ns = 1_000_000_000 + index as i64 * 33_333_333;
+    tracker.step(&Frame { index, stamp_ns, rgb, intrinsics: K }, corrections)
+}
+
+/// What a search finds in a frame: a rough pose.
+fn found(frame: u64) -> Correction {
+    let off = Vector6::new(0.003, -0.002, 0.008, 0.04, -0.05, 0.03);
+    let camera_from_object = retract(&truth(frame), &off);
+    Correction { object_id: 4, frame, camera_from_object, kind: CorrectionKind::Found }
+}
+
+fn started(frames: u64) -> Tracker {
+    let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
+    for i in 0..frames {
+        step(&mut tracker, i, &picture(i, false), &if i == 0 { vec![found(0)] } else { Vec::new() });
+    }
+    tracker
+}
+
+#[test]
+fn a_moved_object_is_followed_from_a_rough_pose() {
+    let mut tracker = started(20);
+    assert!(tracker.missing().is_empty());
+    let seen = step(&mut tracker, 20, &picture(20, false), &[]);
+    let pose = seen.estimates[0].camera_from_object;
+    assert!((pose.translation.vector - truth(20).translation.vector).norm() < 0.05 * DIAMETER_M, "{pose}");
+    assert!(rotation_angle_rad(&pose, &truth(20)) < 0.04, "{}", rotation_angle_rad(&pose, &truth(20)));
+    assert!(seen.estimates[0].measured && seen.estimates[0].confidence > 0.5, "{:?}", seen.estimates[0]);
+}
+
+#[test]
+fn what_is_hidden_is_held_and_lost_after_a_while() {
+    let mut tracker = started(12);
+    let mut spread = 0.0;
+    for i in 12..20 {
+        let hidden = step(&mut tracker, i, &picture(i, true), &[]);
+        let e = &hidden.estimates[0];
+        assert!(!e.measured && e.phase == Phase::Tracking, "frame {i}: {e:?}");
+        assert!(e.covariance[0] > spread, "frame {i}: it becomes less sure");
+        spread = e.covariance[0];
+    }
+    let back = step(&mut tracker, 20, &picture(20, false), &[]);
+    assert!(back.estimates[0].measured, "{:?}", back.estimates[0]);
+    for i in 21..40 {
+        step(&mut tracker, i, &picture(i, true), &[]);
+    }
+    assert_eq!(tracker.missing(), [4]);
+}
+
+#[test]
+fn what_was_found_earlier_is_carried_to_the_present() {
+    let tracker = started(15);
+    let mut look = found(9);
+    look.camera_from_object = truth(9);
+    let before = tracker.tracks[0].pose;
+    let carried = tracker.carried(0, &look, &[before], &K);
+    assert!((carried.translation.vector - truth(14).translation.vector).norm() < 0.03 * DIAMETER_M);
+}
+
+#[test]
+fn the_same_frames_and_corrections_give_the_same_bits() {
+    let run = || {
+        let mut tracker = started(8);
+        let seen = step(&mut tracker, 8, &picture(8, false), &[found(5)]);
+        (seen.estimates[0].clone(), tracker.ask())
+    };
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn frames_that_show_nothing_change_nothing() {
+    let mut tracker = started(10);
+    let black = step(&mut tracker, 10, &RgbImage::new(320, 240), &[]);
+    assert_eq!(black.problem, Some(FrameProblem::Dark));
+    assert!(!black.estimates[0].measured);
+    let late = step(&mut tracker, 7, &picture(7, false), &[]);
+    assert_eq!((late.problem, late.estimates.len()), (Some(FrameProblem::OutOfOrder), 0));
+    let next = step(&mut tracker, 11, &picture(11, false), &[]);
+    assert!(next.problem.is_none() && next.estimates[0].measured);
+}
+
+#[test]
+fn a_jump_in_time_and_another_camera_are_survived() {
+    let mut tracker = started(10);
+    let picture = picture(10, false);
+    let far = Frame { index: 10, stamp_ns: 900_000_000_000, rgb: &picture, intrinsics: K };
+    assert!(tracker.step(&far, &[]).estimates[0].measured, "after a long pause");
+    let back = Frame { index: 11, stamp_ns: 2_000_000_000, ..far };
+    let seen = tracker.step(&back, &[]);
+    assert!(seen.problem.is_none() && seen.estimates[0].measured, "time began anew");
+    let crop = pseudoflow_geometry::Crop { x0: -0.5, y0: -40.5, side: 320.0, size_px: 160 };
+    let half = pseudoflow_imaging::resample(&picture, &crop);
+    let intrinsics = crop.intrinsics(&K);
+    let other = Frame { index: 12, stamp_ns: 2_033_000_000, rgb: &half, intrinsics };
+    let seen = tracker.step(&other, &[]);
+    let pose = seen.estimates[0].camera_from_object;
+    assert!((pose.translation.vector - truth(10).translation.vector).norm() < 0.1 * DIAMETER_M, "{pose}");
+    assert!(tracker.tracks[0].keyframes.len() <= 1, "textures of the other camera are gone");
+}
+
+#[test]
+fn a_tracker_needs_an_object() {
+    assert!(Tracker::new(Vec::new(), TrackingConfig::default()).is_err());
+}
