@@ -4,8 +4,8 @@ use anyhow::{Context as _, Result};
 use image::imageops::{FilterType, resize};
 use pseudoflow_evaluator::live::{Arrival, ArrivedPose};
 use pseudoflow_geometry::{Intrinsics, pose_from_quaternion};
-use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
-use pseudoflow_imaging::{ObjectSet, RgbImage, draw_pose_contour, encode_gif, encode_jpeg};
+use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View};
+use pseudoflow_imaging::{ObjectSet, RgbImage, draw_contour, encode_gif, encode_jpeg};
 use pseudoflow_player::{FrameSource, PlayerConfig, open_recording, there_and_back};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,6 +14,8 @@ use std::path::Path;
 const MEASURED: [u8; 3] = [30, 230, 60];
 /// A pose that is only believed: orange.
 const PREDICTED: [u8; 3] = [255, 150, 20];
+/// Width of the contours: they must be seen in the animation, which is less than half as large.
+const LINE_PX: u32 = 2;
 /// Every n-th frame becomes a picture.
 const EVERY: u64 = 3;
 /// The animation: width, quality of the pictures, pace.
@@ -72,6 +74,11 @@ impl Painter {
     fn outline(&self, image: &mut RgbImage, pose: &ArrivedPose, camera: &Intrinsics) -> Result<()> {
         let camera_from_object = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m)?;
         let colour = if pose.predicted { PREDICTED } else { MEASURED };
-        Ok(draw_pose_contour(image, &self.0, pose.object_id, &camera_from_object, camera, colour)?)
+        let (object_id, intrinsics) = (pose.object_id, *camera);
+        let view = View { object_id, camera_from_object, intrinsics, width: image.width(), height: image.height() };
+        for rendering in self.0.render(&[view])? {
+            draw_contour(image, &rendering.mask, colour, LINE_PX);
+        }
+        Ok(())
     }
 }
