@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The whole live graph as a robot uses it: CycloneDDS plays a camera and a detector with the frames of bags/tabletop_demo,
+# The whole live graph as a robot uses it: CycloneDDS plays a camera and a detector with the frames of bags/tabletop_dense (a camera moves as one does),
 # `pseudoflow run config/graphs/live.yaml` refines them in its processes, and /object_pose comes back by CycloneDDS.
 # Needs: the Python packages cyclonedds and rosbags (PYTHON names the interpreter).
 source "$(dirname "$0")/environment.sh"
@@ -11,7 +11,7 @@ echo "== camera -> live graph -> /object_pose, 90 frames at 15 Hz, a detector th
 # The camera publishes compressed images alone: the bridge takes what is there.
 "$target/release/pseudoflow" run config/graphs/live.yaml --out "$out/run" >"$out/log" 2>&1 &
 run=$!
-timeout 150 "$python" "$interop/cyclone_live.py" bags/tabletop_demo 90 15 0.5 || { tail -n 40 "$out/log" >&2; exit 1; }
+timeout 150 "$python" "$interop/cyclone_live.py" bags/tabletop_dense 90 15 0.5 || { tail -n 40 "$out/log" >&2; exit 1; }
 kill -INT "$run"
 wait "$run" || { echo "the run did not end in order" >&2; tail -n 40 "$out/log" >&2; exit 1; }
 echo "ok: live"

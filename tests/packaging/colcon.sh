@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Builds the package as a ROS 2 workspace does (colcon, colcon-ros-cargo, cargo-ament-build; no ROS needed), then starts what was installed
 # as a launch file does. Needs: cargo-ament-build on the PATH or in PEERS, colcon-core and colcon-ros-cargo beside PYTHON.
-source "$(dirname "$0")/environment.sh"
+source "$(dirname "$0")/../interop/environment.sh"
+# Not part of tests/run yet: colcon-cargo hands --cargo-args to `cargo metadata` too, which refuses --release.
 workspace=$(mktemp -d)
 trap 'kill $(jobs -p) 2>/dev/null || true; wait; rm -rf "$workspace"' EXIT
 export PATH="$(dirname "$(command -v "$python")"):${PEERS:-/nonexistent}/bin:$PATH"
