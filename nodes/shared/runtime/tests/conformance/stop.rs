@@ -1,6 +1,7 @@
 use crate::scene::{Scene, assert_nothing_left, is_alive, kill, segments, wait_until};
 use crate::{test, this_program};
 use libtest_mimic::Trial;
+use pseudoflow_runtime::supervisor::{Summary, SupervisorError};
 use rustix::process::Signal;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::Ordering;
@@ -76,8 +77,8 @@ nodes:
     assert_nothing_left(scene.dir.path());
 }
 
-fn a_hanging_node() {
-    let scene = Scene::new(GRAPH).set("mixer.delay_ms", "60000");
+/// Runs a scene and asks it to stop, with little patience, as soon as its mixer works.
+fn stopped_at_work(scene: &Scene) -> Result<Summary, SupervisorError> {
     let mut options = scene.options();
     options.stop_timeout = Duration::from_millis(300);
     let (stop, file) = (options.stop.clone(), scene.path("mixer.busy"));
@@ -87,6 +88,12 @@ fn a_hanging_node() {
     });
     let run = pseudoflow_runtime::supervisor::run(&scene.graph, &crate::toys::registry(), &options);
     stopper.join().expect("the stopper");
+    run
+}
+
+fn a_hanging_node() {
+    let scene = Scene::new(GRAPH).set("mixer.delay_ms", "60000");
+    let run = stopped_at_work(&scene);
     let text = run.expect_err("an error").to_string();
     assert!(text.contains("mixer") && text.contains("killed"), "{text}");
     assert!(!is_alive(scene.pid("mixer").expect("a pid")));
@@ -110,15 +117,7 @@ fn stop_in_the_warm_up() {
 
 fn a_hanging_live_node() {
     let scene = Scene::new(GRAPH).set("mode", "live").set("mixer.delay_ms", "600000");
-    let mut options = scene.options();
-    options.stop_timeout = Duration::from_millis(300);
-    let (stop, file) = (options.stop.clone(), scene.path("mixer.busy"));
-    let stopper = std::thread::spawn(move || {
-        wait_until("the work", || file.exists());
-        stop.store(true, Ordering::Release);
-    });
-    let run = pseudoflow_runtime::supervisor::run(&scene.graph, &crate::toys::registry(), &options);
-    stopper.join().expect("the stopper");
+    let run = stopped_at_work(&scene);
     let summary = run.unwrap_or_else(|error| panic!("{error}"));
     assert!(summary.asked_to_stop && summary.killed.contains(&"mixer".to_owned()), "{summary}");
     assert!(!is_alive(scene.pid("mixer").expect("a pid")));

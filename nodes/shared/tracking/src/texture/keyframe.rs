@@ -69,8 +69,13 @@ fn slope(point: &Point3<f64>, along: &[Vector3<f64>; 2], camera: &Intrinsics) ->
 }
 
 impl Maker {
-    /// A keyframe of the first of `items`, which the others may hide. `None` when too little texture is seen.
-    pub(crate) fn make(&mut self, pyramid: &Arc<Pyramid>, items: &[Item<'_>], camera: &Intrinsics) -> Option<Keyframe> {
+    /// The part of the picture around the first of `items`, and which of them covers each pixel of it. `None` outside the picture.
+    fn cover<'a>(
+        &mut self,
+        pyramid: &Pyramid,
+        items: &'a [Item<'a>],
+        camera: &Intrinsics,
+    ) -> Option<(Window, Scene<'a>)> {
         let window = Window::around(&items[0], camera, &pyramid.levels[0])?;
         let scene = Scene {
             items,
@@ -80,6 +85,12 @@ impl Maker {
             background: Background::Colour([0; 3]),
         };
         self.scratch.cover(&scene);
+        Some((window, scene))
+    }
+
+    /// A keyframe of the first of `items`, which the others may hide. `None` when too little texture is seen.
+    pub(crate) fn make(&mut self, pyramid: &Arc<Pyramid>, items: &[Item<'_>], camera: &Intrinsics) -> Option<Keyframe> {
+        let (window, scene) = self.cover(pyramid, items, camera)?;
         let anchors = self.anchors(&scene, &window, pyramid);
         let (pose, pyramid) = (items[0].camera_from_object, Arc::clone(pyramid));
         (anchors.len() >= FEWEST).then_some(Keyframe { pyramid, pose, anchors, alike: ALIKE })
@@ -88,15 +99,7 @@ impl Maker {
     /// The mesh itself as a keyframe: the first of `items` rendered at its pose. It binds the object to what is known of it, where
     /// keyframes bind it to what was believed.
     pub(crate) fn rendered(&mut self, pyramid: &Pyramid, items: &[Item<'_>], camera: &Intrinsics) -> Option<Keyframe> {
-        let window = Window::around(&items[0], camera, &pyramid.levels[0])?;
-        let scene = Scene {
-            items,
-            intrinsics: Intrinsics { cx: camera.cx - window.x0 as f64, cy: camera.cy - window.y0 as f64, ..*camera },
-            width: window.width as u32,
-            height: window.height as u32,
-            background: Background::Colour([0; 3]),
-        };
-        self.scratch.cover(&scene);
+        let (window, scene) = self.cover(pyramid, items, camera)?;
         let (width, height) = (window.width, window.height);
         let mut grey = vec![BEHIND; width * height];
         for (i, _) in self.scratch.owners().iter().enumerate().filter(|(_, owner)| **owner == 1) {
