@@ -16,16 +16,16 @@ fn context() -> Context {
     Context { name: "bridge".into(), seed: 0, out_dir: ".".into(), restarts: 0, replay: false }
 }
 
-/// A namespace of this run alone.
-fn namespace() -> String {
-    format!("/run{}", std::process::id())
+/// A namespace of one test in this run alone: tests of one process run side by side.
+fn namespace(test: &str) -> String {
+    format!("/run{}/{test}", std::process::id())
 }
 
-fn config(camera: bool) -> BridgeConfig {
+fn config(namespace: &str, camera: bool) -> BridgeConfig {
     // The transport is what is there, the calibration beside the images.
     let camera =
         camera.then(|| CameraConfig { detections: Some("detections".into()), ..CameraConfig::of_topic("image") });
-    BridgeConfig { namespace: namespace(), object_names: names(), camera, ..BridgeConfig::default() }
+    BridgeConfig { namespace: namespace.into(), object_names: names(), camera, ..BridgeConfig::default() }
 }
 
 fn names() -> std::collections::BTreeMap<u32, String> {
@@ -64,21 +64,21 @@ struct World {
 }
 
 impl World {
-    fn new() -> Self {
+    fn new(namespace: &str) -> Self {
         let mut participant = Participant::open(DdsEnvironment::of_process().unwrap(), "/", "world").unwrap();
-        fn publish<M: RosMessage>(participant: &mut Participant, name: &str) -> Publisher<M> {
-            participant.publisher(&Name::new(&namespace(), name).unwrap(), &publisher_qos(10)).unwrap()
+        fn publish<M: RosMessage>(participant: &mut Participant, (namespace, name): (&str, &str)) -> Publisher<M> {
+            participant.publisher(&Name::new(namespace, name).unwrap(), &publisher_qos(10)).unwrap()
         }
         Self {
-            images: publish(&mut participant, "image"),
-            infos: publish(&mut participant, "camera_info"),
-            detections: publish(&mut participant, "detections"),
+            images: publish(&mut participant, (namespace, "image")),
+            infos: publish(&mut participant, (namespace, "camera_info")),
+            detections: publish(&mut participant, (namespace, "detections")),
             object_pose: participant
-                .subscription(&Name::new(&namespace(), "object_pose").unwrap(), &sensor_qos(10))
+                .subscription(&Name::new(namespace, "object_pose").unwrap(), &sensor_qos(10))
                 .unwrap(),
             tf: participant.subscription(&Name::new("/", "tf").unwrap(), &sensor_qos(10)).unwrap(),
             diagnostics: participant
-                .subscription(&Name::new(&namespace(), "diagnostics").unwrap(), &publisher_qos(100))
+                .subscription(&Name::new(namespace, "diagnostics").unwrap(), &publisher_qos(100))
                 .unwrap(),
             participant,
         }
@@ -137,8 +137,9 @@ fn until<T>(what: &str, mut step: impl FnMut() -> Option<T>) -> T {
 
 #[test]
 fn a_live_camera_goes_in_and_its_poses_come_out() {
-    let mut bridge = Bridge::create(config(true), &context()).unwrap();
-    let world = World::new();
+    let own = namespace("poses");
+    let mut bridge = Bridge::create(config(&own, true), &context()).unwrap();
+    let world = World::new(&own);
     let mut sent = InMemory::default();
     let mut stamp_ns = STAMP_NS;
     let key = until("a frame", || {
@@ -165,7 +166,7 @@ fn a_live_camera_goes_in_and_its_poses_come_out() {
     assert_eq!((stamped.header, stamped.pose.position.z), (header.clone(), 0.3));
     assert_eq!(
         (&tf.transforms[0].header, tf.transforms[0].child_frame_id.as_str()),
-        (&header, format!("run{}/mustard", std::process::id()).as_str())
+        (&header, format!("{}/mustard", &own[1..]).as_str())
     );
 }
 
@@ -189,9 +190,10 @@ fn next_stamp(stamp_ns: &mut i64) -> i64 {
 
 #[test]
 fn every_wrong_field_is_dropped_and_named_and_the_camera_goes_on() {
-    let mut bridge = Bridge::create(config(true), &context()).unwrap();
-    let world = World::new();
-    let mut stamp_ns = STAMP_NS + 1_000_000_000;
+    let own = namespace("hostile");
+    let mut bridge = Bridge::create(config(&own, true), &context()).unwrap();
+    let world = World::new(&own);
+    let mut stamp_ns = STAMP_NS;
     let good = |bridge: &mut Bridge, stamp_ns: &mut i64| {
         until("a good frame", || {
             world.take_picture(next_stamp(stamp_ns));
@@ -263,10 +265,9 @@ fn every_wrong_field_is_dropped_and_named_and_the_camera_goes_on() {
 
 #[test]
 fn the_topics_are_those_of_the_page() {
-    let own = format!("{}/page", namespace());
-    let config = BridgeConfig { namespace: own.clone(), ..config(false) };
-    let _bridge = Bridge::create(config, &context()).unwrap();
-    let world = World::new();
+    let own = namespace("page");
+    let _bridge = Bridge::create(config(&own, false), &context()).unwrap();
+    let world = World::new(&own);
     for topic in pseudoflow_bridge::topics().iter().filter(|t| t.direction == pseudoflow_bridge::Direction::Out) {
         let name = topic.name.replace("NAME", "mustard");
         let name = if name.starts_with('/') { name } else { format!("{own}/{name}") };
@@ -276,7 +277,7 @@ fn the_topics_are_those_of_the_page() {
 
 #[test]
 fn a_bridge_without_camera_says_what_the_graph_lacks() {
-    let mut bridge = Bridge::create(BridgeConfig { namespace: "/alone".into(), ..config(false) }, &context()).unwrap();
+    let mut bridge = Bridge::create(config(&namespace("alone"), false), &context()).unwrap();
     let no_camera = bridge.poll(&mut InMemory::default(), &context()).unwrap_err();
     assert!(no_camera.to_string().contains("camera: ..."), "{no_camera}");
     let key = FrameKey { index: 0, stamp_ns: STAMP_NS };
