@@ -116,7 +116,7 @@ fn views_are_made_little_by_little_and_kept() {
     assert!(first.preparing().is_empty());
     let mut second = Comparer::open_unprepared(&few, &objects, &engine).unwrap();
     assert!(second.preparing().is_empty(), "they were kept");
-    let mut similarity = |comparer: &mut Comparer| comparer.glance(&photograph, object, &there).unwrap().similarity();
+    let similarity = |comparer: &mut Comparer| comparer.glance(&photograph, object, &there).unwrap().similarity();
     assert_eq!(similarity(&mut first).to_bits(), similarity(&mut second).to_bits(), "kept or not, the same");
     let file = std::fs::read_dir(folder.path().join("views")).unwrap().next().unwrap().unwrap().path();
     std::fs::write(&file, b"pfviews1 and then nothing").unwrap();

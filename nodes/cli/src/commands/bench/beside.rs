@@ -130,9 +130,9 @@ mod tests {
         assert_eq!(graph.mode, Mode::Live);
         assert!(graph.nodes.keys().all(|name| name != "bridge"));
         assert_eq!(graph.nodes["initializer"].inputs["frame"].to_string(), "player/frame");
-        assert_eq!(graph.nodes["stopwatch"].inputs["poses"].to_string(), "pnp/poses");
+        assert_eq!(graph.nodes["stopwatch"].inputs["poses"].to_string(), "tracker/poses");
         assert_eq!(graph.nodes["player"].config["hz"], Value::from(15.0));
-        assert_eq!(graph.feedback.len(), 1);
+        assert_eq!(graph.feedback.len(), 2);
     }
 
     #[test]
