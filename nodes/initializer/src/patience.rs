@@ -82,7 +82,7 @@ impl Patience {
         let doublings = misses.saturating_sub(1).min(30) as i32;
         let wait_s = (self.config.wait_s * 2_f64.powi(doublings)).min(self.config.most_wait_s);
         // Time that went back is another clock.
-        !(0.0..wait_s).contains(&((stamp_ns - last_ns) as f64 * 1e-9))
+        !(0..(wait_s * 1e9) as i64).contains(&stamp_ns.saturating_sub(last_ns))
     }
 
     /// Takes down that a frame was searched.
@@ -115,8 +115,8 @@ mod tests {
     #[test]
     fn what_is_absent_is_searched_for_less_and_less() {
         let mut patience = Patience::new(SearchConfig { wait_s: 0.5, most_wait_s: 4.0, objects: 1 });
-        let at: Vec<f64> = searches(&mut patience, 20).into_iter().map(|ns| ns as f64 * 1e-9).collect();
-        assert_eq!(at, [0.0, 0.5, 1.5, 3.5, 7.5, 11.5, 15.5, 19.5]);
+        let tenths: Vec<i64> = searches(&mut patience, 20).into_iter().map(|ns| ns / (S / 10)).collect();
+        assert_eq!(tenths, [0, 5, 15, 35, 75, 115, 155, 195]);
     }
 
     #[test]
