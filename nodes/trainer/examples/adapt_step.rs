@@ -7,8 +7,8 @@ use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FlowFieldsHeader, Message, Partner, PseudoLabels, PseudoLabelsHeader, ReferenceViews,
     ReferenceViewsHeader,
 };
-use pseudoflow_network::{Device, FlowBatch, TrainConfig, TrainState, Weights};
-use pseudoflow_trainer::adapt::{AdaptState, Sample, TrainerConfig};
+use pseudoflow_network::{Device, ExtraLoss, FlowBatch, FlowNetwork, TrainConfig, TrainState, Weights};
+use pseudoflow_trainer::adapt::{AdaptState, Sample, SampleForm, TrainerConfig};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
@@ -82,7 +82,8 @@ fn messages(sizes: &Sizes) -> [AlignedBytes; 3] {
 
 fn samples(sizes: &Sizes, [views, flow, labels]: &[AlignedBytes; 3]) -> Result<Vec<Sample>, Failure> {
     let (views, flow, labels) = (ReferenceViews::view(views)?, FlowFields::view(flow)?, PseudoLabels::view(labels)?);
-    let of = |i: usize| Sample::of(&views, &flow, &labels, i, 1, Some(ChaCha8Rng::seed_from_u64(i as u64)));
+    let form = SampleForm { by: 1, geometry: FlowNetwork::named(&sizes.network)?.is_refiner() };
+    let of = |i: usize| Sample::of(&views, &flow, &labels, i, form, Some(ChaCha8Rng::seed_from_u64(i as u64)));
     Ok((0..sizes.instances).map(of).collect())
 }
 
@@ -105,6 +106,11 @@ impl Times {
     }
 }
 
+/// No loss beside that of the flow.
+fn no_extra(flow_px: &[f32]) -> ExtraLoss {
+    ExtraLoss { value: 0.0, gradient: vec![0.0; flow_px.len()] }
+}
+
 fn main() -> Result<(), Failure> {
     let sizes = Sizes::from_args()?;
     let folder = std::env::temp_dir().join(format!("adapt_step_{}", std::process::id()));
@@ -112,9 +118,8 @@ fn main() -> Result<(), Failure> {
     let start = folder.join("start.safetensors");
     let mut config = TrainerConfig::new(start.clone(), folder.clone(), 10_000);
     (config.network, config.size_px, config.max_lr) = (sizes.network.clone(), sizes.size_px as u32, 1e-6);
-    let mut network = config.resolve_network()?;
+    let network = config.resolve_network()?;
     Weights::random(&network, 1).save(&start)?;
-    network.size_px = sizes.size_px;
     let without_photo = TrainerConfig { photo_weight: 0.0, ..config.clone() };
 
     let messages = messages(&sizes);
@@ -135,7 +140,7 @@ fn main() -> Result<(), Failure> {
     let names = ["supervised", "self-supervised", "the same without photo", "samples from messages"];
     let [mut a, mut b, mut c, mut d] = names.map(|name| Times(name, Vec::new()));
     for _ in 0..=sizes.rounds {
-        a.add(|| supervised.train_step(&pairs))?;
+        a.add(|| supervised.train_step_with(&pairs, sizes.size_px, 1.0, no_extra))?;
         b.add(|| own.train(&mut batch, &config))?;
         c.add(|| plain.train(&mut batch, &without_photo))?;
         d.add(|| samples(&sizes, &messages))?;

@@ -2,10 +2,10 @@
 
 use crate::config::NetworkConfig;
 use crate::error::Result;
-use crate::model::Model;
+use crate::model::{Model, Parameter, TensorSpec};
 use crate::onnx::{ExportOptions, export_onnx, export_refiner};
 use crate::raft::Raft;
-use crate::refiner::{Refiner, RefinerConfig};
+use crate::refiner::{REFERENCE_CHANNELS, Refiner, RefinerConfig};
 use crate::weights::Weights;
 use burn::tensor::Device;
 use std::path::Path;
@@ -56,6 +56,29 @@ impl FlowNetwork {
         match self {
             Self::Raft(raft) => raft.size_px,
             Self::Refiner(refiner) => refiner.size_px,
+        }
+    }
+
+    /// Channels of the rendering that it takes: colours, and of the refiner its geometry.
+    #[must_use]
+    pub fn reference_channels(&self) -> usize {
+        if self.is_refiner() { REFERENCE_CHANNELS } else { 3 }
+    }
+
+    /// Recurrent iterations in training.
+    #[must_use]
+    pub fn iterations_train(&self) -> usize {
+        match self {
+            Self::Raft(raft) => raft.iterations_train,
+            Self::Refiner(refiner) => refiner.iterations_train,
+        }
+    }
+
+    /// Sets the recurrent iterations in training.
+    pub fn set_iterations_train(&mut self, iterations: usize) {
+        match self {
+            Self::Raft(raft) => raft.iterations_train = iterations,
+            Self::Refiner(refiner) => refiner.iterations_train = iterations,
         }
     }
 
@@ -110,6 +133,49 @@ impl FlowNetwork {
             Self::Raft(raft) => BuiltFlow::Raft(Raft::new(weights, raft, device)?),
             Self::Refiner(refiner) => BuiltFlow::Refiner(Refiner::new(weights, refiner, device)?),
         })
+    }
+}
+
+impl Model for FlowNetwork {
+    type Network = BuiltFlow;
+
+    fn name(&self) -> &str {
+        match self {
+            Self::Raft(raft) => raft.name(),
+            Self::Refiner(refiner) => refiner.name(),
+        }
+    }
+
+    fn hash(&self) -> String {
+        match self {
+            Self::Raft(raft) => raft.hash(),
+            Self::Refiner(refiner) => refiner.hash(),
+        }
+    }
+
+    fn layout(&self) -> Vec<TensorSpec> {
+        match self {
+            Self::Raft(raft) => raft.layout(),
+            Self::Refiner(refiner) => refiner.layout(),
+        }
+    }
+
+    fn check(&self) -> Result<()> {
+        match self {
+            Self::Raft(raft) => Model::check(raft),
+            Self::Refiner(refiner) => Model::check(refiner),
+        }
+    }
+
+    fn build(&self, weights: &Weights, device: &Device) -> Result<BuiltFlow> {
+        Self::build(self, weights, device)
+    }
+
+    fn parameters(network: &BuiltFlow) -> &[Parameter] {
+        match network {
+            BuiltFlow::Raft(raft) => NetworkConfig::parameters(raft),
+            BuiltFlow::Refiner(refiner) => RefinerConfig::parameters(refiner),
+        }
     }
 }
 

@@ -7,6 +7,7 @@ mod error;
 mod flow_network;
 mod guard;
 mod kernels;
+mod labels;
 mod loss;
 mod memory;
 mod model;
@@ -27,6 +28,7 @@ pub use detector::{
 pub use device::{ComputeDevice, OpenDevice};
 pub use error::{NetworkError, Result};
 pub use flow_network::{BuiltFlow, FlowNetwork};
+pub use labels::ExtraLoss;
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
 pub use model::{Init, Model, Parameter, TensorSpec};
 pub use onnx::{ExportOptions, export_detector, export_features, export_onnx, export_refiner, is_refiner_onnx};
@@ -35,5 +37,5 @@ pub use raft::Raft;
 pub use refiner::{
     DeviceRefinerBatch, REFERENCE_CHANNELS, Refinement, Refiner, RefinerBatch, RefinerConfig, reference_geometry,
 };
-pub use train::{ExtraLoss, StepStats, TrainConfig, TrainState};
+pub use train::{StepStats, TrainConfig, TrainState};
 pub use weights::{NamedTensor, Weights, WeightsInfo};

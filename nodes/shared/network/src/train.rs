@@ -8,7 +8,7 @@ use crate::memory::keep_freed;
 use crate::model::{ByName, Model, gradients_with};
 use crate::optim::{AdamWConfig, Moments, OneCycle, Schedule, adamw, clip_scale, global_norm};
 use crate::weights::{NamedTensor, Weights, parse_with, serialize_with, write_atomically};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -52,15 +52,6 @@ pub struct StepStats {
     pub grad_norm: f64,
     /// Learning rate of the step.
     pub lr: f64,
-}
-
-/// A loss on the last flows that is computed outside of the network.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ExtraLoss {
-    /// Its value.
-    pub value: f32,
-    /// Its gradient with respect to each flow value (n, 2, S, S).
-    pub gradient: Vec<f32>,
 }
 
 /// A training run in progress.
@@ -265,40 +256,6 @@ impl TrainState {
             (sequence_loss(&flows, &data, gamma), vec![epe])
         })?;
         Ok(StepStats { epe: measured[0], ..stats })
-    }
-
-    /// One step on `flow_weight` times [`sequence_loss`] plus a loss that the caller computes from the last flows
-    /// (n, 2, S, S), with its gradient there. `loss` of the returned is the sum of both.
-    ///
-    /// # Errors
-    /// As [`Self::train_step`].
-    ///
-    /// # Panics
-    /// When the gradient has another length than the flows.
-    pub fn train_step_with(
-        &mut self,
-        batch: &FlowBatch<'_>,
-        flow_weight: f32,
-        extra: impl FnOnce(&[f32]) -> ExtraLoss,
-    ) -> Result<StepStats> {
-        let device = self.device.clone().autodiff();
-        let data = guarded_on(&device, || batch.to_device(self.network.size_px, &device))?;
-        let (iterations, gamma, size_px) = (self.network.iterations_train, self.config.gamma, self.network.size_px);
-        let mut extra_value = f32::NAN;
-        let (stats, measured) = self.step_measuring(|raft| {
-            let flows = raft.forward(data.reference.clone(), data.real.clone(), iterations);
-            let last = flows[iterations - 1].clone();
-            let flow_px = values(last.clone());
-            let epe = device_end_point_error(&last, &data);
-            let flow_loss = sequence_loss(&flows, &data, gamma) * flow_weight;
-            let ExtraLoss { value, gradient } = extra(&flow_px);
-            assert_eq!(gradient.len(), flow_px.len(), "one gradient for each flow value");
-            extra_value = value;
-            // Linear in the flow: its gradient is the extra loss's.
-            let slope = Tensor::from_data(TensorData::new(gradient, [batch.n, 2, size_px, size_px]), &device);
-            (flow_loss.clone() + (last * slope).sum(), vec![epe, flow_loss])
-        })?;
-        Ok(StepStats { epe: measured[0], loss: measured[1] + extra_value, ..stats })
     }
 }
 

@@ -1,5 +1,5 @@
 use crate::TrainerError;
-use pseudoflow_network::{ComputeDevice, NetworkConfig};
+use pseudoflow_network::{ComputeDevice, FlowNetwork};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -10,8 +10,9 @@ use std::path::PathBuf;
 pub struct TrainerConfig {
     /// Weights that student and teacher begin with (.safetensors).
     pub weights: PathBuf,
-    /// The network that they belong to: nano, small, paper, or a YAML file as in config/networks.
-    #[serde(default = "nano")]
+    /// The network that they belong to: auto (as the weights say), refiner, nano, small, paper, or the YAML file of a RAFT as in
+    /// config/networks.
+    #[serde(default = "auto")]
     pub network: String,
     /// Width and height of the crops, pixels; the renderer's `size_px`.
     #[serde(default = "default_size_px")]
@@ -67,8 +68,8 @@ pub struct TrainerConfig {
     pub augment: bool,
 }
 
-fn nano() -> String {
-    "nano".into()
+fn auto() -> String {
+    "auto".into()
 }
 
 fn default_size_px() -> u32 {
@@ -122,7 +123,7 @@ impl TrainerConfig {
     pub fn new(weights: PathBuf, out: PathBuf, steps: u64) -> Self {
         Self {
             weights,
-            network: nano(),
+            network: auto(),
             size_px: default_size_px(),
             student_px: None,
             device: ComputeDevice::default(),
@@ -200,10 +201,15 @@ impl TrainerConfig {
     /// The network with the iterations of this training.
     ///
     /// # Errors
-    /// The name is none of the presets and no readable file.
-    pub fn resolve_network(&self) -> Result<NetworkConfig, TrainerError> {
-        let mut network = crate::pretrain::network_named(&self.network)?;
-        network.iterations_train = self.train_iterations.unwrap_or(network.iterations_train);
+    /// The name is none of the presets and no readable file, or the weights are unreadable.
+    pub fn resolve_network(&self) -> Result<FlowNetwork, TrainerError> {
+        let mut network = match self.network.as_str() {
+            "auto" => FlowNetwork::of_weights(&self.weights)?,
+            name => FlowNetwork::named(name)?,
+        };
+        if let Some(iterations) = self.train_iterations {
+            network.set_iterations_train(iterations);
+        }
         Ok(network)
     }
 }

@@ -20,7 +20,7 @@ mod tests;
 pub use config::{TrainerConfig, label_px};
 pub use node::TrainerNode;
 pub use photo::{PhotoLoss, PhotoSample, photo_loss};
-pub use sample::Sample;
+pub use sample::{Sample, SampleForm};
 pub use state::{AdaptState, StepResult, steps_taken};
 
 /// Names of the files in a training's folder.

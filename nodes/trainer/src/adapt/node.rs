@@ -1,5 +1,5 @@
 use super::log::{AdaptLog, LabelStats};
-use super::{AdaptState, Sample, TrainerConfig, files};
+use super::{AdaptState, Sample, SampleForm, TrainerConfig, files};
 use crate::TrainerError;
 use pseudoflow_msgs::{
     FlowFields, FrameKey, InstanceLabels, NetworkWeights, NetworkWeightsHeader, PseudoLabels, ReferenceViews,
@@ -85,7 +85,8 @@ impl TrainerNode {
         for (instance, info) in labels.info.iter().enumerate() {
             if info.usable == 1 {
                 let colours = self.config.augment.then(|| context.rng(place, &format!("augment {instance}")));
-                self.batch.samples.push(Sample::of(&views, &flow, &labels, instance, self.config.shrink(), colours));
+                let form = SampleForm { by: self.config.shrink(), geometry: self.state.network().is_refiner() };
+                self.batch.samples.push(Sample::of(&views, &flow, &labels, instance, form, colours));
             }
             self.batch.labels.push(*info);
         }

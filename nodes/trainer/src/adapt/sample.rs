@@ -1,12 +1,13 @@
 use super::augment::{augmented, grey, planes};
 use super::shrink;
 use pseudoflow_msgs::{FlowFields, PseudoLabels, ReferenceViews};
+use pseudoflow_network::{REFERENCE_CHANNELS, reference_geometry};
 use rand_chacha::ChaCha8Rng;
 
 /// One instance of one frame, ready to train with.
 #[derive(Debug, Clone)]
 pub struct Sample {
-    /// Rendered views in [-1, 1]: `n x 3 x S x S`.
+    /// Rendered views: `n x 3 x S x S`, colours in [-1, 1]; or `n x 5 x S x S` with [`reference_geometry`] behind them.
     pub reference: Vec<f32>,
     /// The real crop: `S x S x 3`.
     pub real_rgb: Vec<u8>,
@@ -18,6 +19,15 @@ pub struct Sample {
     pub mask: Vec<f32>,
     /// What the photometric loss compares; none without partners.
     pub photo: Option<Photo>,
+}
+
+/// The form in which the student takes a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SampleForm {
+    /// How many times smaller its crops are than the teacher's.
+    pub by: usize,
+    /// Whether it takes the depth of the renderings.
+    pub geometry: bool,
 }
 
 /// The real images of a sample's photometric loss, grey values 0..255 without augmentation.
@@ -42,28 +52,26 @@ fn flow_planes(interleaved: &[f32], area: usize) -> Vec<f32> {
 }
 
 impl Sample {
-    /// The sample of an instance, `by` times smaller than the teacher's crops; `colours` draws the student's colours,
-    /// without it the student sees the crop as it is.
+    /// The sample of an instance; `colours` draws the student's colours, without it the student sees the crop as it is.
     #[must_use]
     pub fn of(
         views: &ReferenceViews<'_>,
         flow: &FlowFields<'_>,
         labels: &PseudoLabels<'_>,
         instance: usize,
-        by: usize,
+        form: SampleForm,
         colours: Option<ChaCha8Rng>,
     ) -> Self {
         let (n, size_px) = (views.header.views_per_instance as usize, views.header.size_px as usize);
-        let area = size_px * size_px;
+        let (by, area) = (form.by, size_px * size_px);
         let of_views = |values: usize| instance * n * values..(instance + 1) * n * values;
         let real_rgb = shrink::rgb(&views.real_rgb[instance * 3 * area..(instance + 1) * 3 * area], size_px, by);
-        let small = |view: &[u8]| planes(&shrink::rgb(view, size_px, by));
         let masks = labels.valid[of_views(area)].chunks_exact(area);
         let label = |(field, valid): (&[f32], &[u8])| shrink::flow(field, size_px, by, |p| valid[p] != 0);
         let fields = labels.label_px[of_views(2 * area)].chunks_exact(2 * area);
         let flow_px: Vec<f32> = fields.zip(masks.clone()).flat_map(label).collect();
         Self {
-            reference: views.rgb[of_views(3 * area)].chunks_exact(3 * area).flat_map(small).collect(),
+            reference: (instance * n..(instance + 1) * n).flat_map(|view| reference(views, view, form)).collect(),
             real_rgb,
             colours,
             flow_px: flow_planes(&flow_px, area / (by * by)),
@@ -86,6 +94,21 @@ impl Sample {
             None => planes(&self.real_rgb),
         }
     }
+}
+
+/// A rendered view as the student takes it.
+fn reference(views: &ReferenceViews<'_>, view: usize, form: SampleForm) -> Vec<f32> {
+    let size_px = views.header.size_px as usize;
+    let area = size_px * size_px;
+    let mut out = planes(&shrink::rgb(&views.rgb[view * 3 * area..(view + 1) * 3 * area], size_px, form.by));
+    if form.geometry {
+        let depth_m = shrink::depth(&views.depth_m[view * area..(view + 1) * area], size_px, form.by);
+        let colours = out.len();
+        out.resize(colours / 3 * REFERENCE_CHANNELS, 0.0);
+        let focal_px = views.views[view].crop_intrinsics[0] / form.by as f64;
+        reference_geometry(&depth_m, size_px / form.by, focal_px, &mut out[colours..]);
+    }
+    out
 }
 
 fn photo(

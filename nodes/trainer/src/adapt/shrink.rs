@@ -27,6 +27,16 @@ pub(super) fn mask(image: &[u8], size_px: usize, by: usize) -> Vec<u8> {
     blocks(size_px, by).map(|mut block| 255 * u8::from(most(&mut block))).collect()
 }
 
+/// Depth in metres, 0 off the object: the mean of what a block sees of the object, where that is at least half of the block.
+pub(super) fn depth(image: &[f32], size_px: usize, by: usize) -> Vec<f32> {
+    let mean = |block: &mut dyn Iterator<Item = usize>| {
+        let seen = block.map(|p| image[p]).filter(|d| *d > 0.0);
+        let (sum, n) = seen.fold((0.0, 0), |(sum, n), d| (sum + d, n + 1));
+        if 2 * n >= by * by { sum / n as f32 } else { 0.0 }
+    };
+    blocks(size_px, by).map(|mut block| mean(&mut block)).collect()
+}
+
 /// A flow (x, y interleaved), in pixels of the small image: the mean over what `counts` of a block, 0 where nothing does.
 pub(super) fn flow(field: &[f32], size_px: usize, by: usize, counts: impl Fn(usize) -> bool) -> Vec<f32> {
     let mut out = Vec::with_capacity(field.len() / (by * by));
@@ -62,6 +72,13 @@ mod tests {
         let field: Vec<f32> = (0..16).flat_map(|p| if p % 4 == 3 { [99.0, 99.0] } else { [4.0, -4.0] }).collect();
         assert_eq!(flow(&field, 4, 2, |p| p % 4 != 3), [2.0, -2.0].repeat(4));
         assert_eq!(flow(&field, 4, 2, |p| p % 4 < 2)[4..8], [2.0, -2.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn depth_is_the_mean_of_what_a_block_sees() {
+        let image: Vec<f32> = [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.0].repeat(2);
+        assert_eq!(depth(&image, 4, 2), [1.5, 0.0, 1.5, 0.0]);
+        assert_eq!(depth(&image, 4, 1), image);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 use super::photo::{PhotoSample, photo_loss};
 use super::{Sample, TrainerConfig};
 use crate::TrainerError;
-use pseudoflow_network::{ExtraLoss, FlowBatch, TrainConfig, TrainState, Weights};
+use pseudoflow_network::{ExtraLoss, FlowBatch, FlowNetwork, TrainConfig, TrainState, Weights};
 use std::path::Path;
 
 /// Names of the other weights in a checkpoint.
@@ -12,7 +12,7 @@ const BEFORE: &str = "before";
 /// A training: student, optimiser, teacher, and the teachers that were published.
 #[derive(Debug)]
 pub struct AdaptState {
-    student: TrainState,
+    student: TrainState<FlowNetwork>,
     teacher: Weights,
     /// The last publication, and the one before it.
     published: Weights,
@@ -89,6 +89,12 @@ impl AdaptState {
         Ok(self.student.save_with(path, &others)?)
     }
 
+    /// What learns.
+    #[must_use]
+    pub fn network(&self) -> &FlowNetwork {
+        &self.student.network
+    }
+
     /// Steps taken.
     #[must_use]
     pub fn step(&self) -> u64 {
@@ -155,16 +161,12 @@ impl AdaptState {
         let size_px = config.size_px as usize / config.shrink();
         let pairs = Pairs::of(samples);
         let mut loss_photo = f32::NAN;
-        let network_px = std::mem::replace(&mut self.student.network.size_px, size_px);
-        let stats = self.student.train_step_with(&pairs.batch(), config.flow_weight as f32, |flow_px| {
+        let stats = self.student.train_step_with(&pairs.batch(), size_px, config.flow_weight as f32, |flow_px| {
             let (value, gradient) = photo_part(samples, flow_px, size_px, config.photo_weight);
             loss_photo = value;
             let value = if value.is_finite() { config.photo_weight as f32 * value } else { 0.0 };
             ExtraLoss { value, gradient }
-        });
-        // The weights fit any size; the checkpoint belongs to the network's own.
-        self.student.network.size_px = network_px;
-        let stats = stats?;
+        })?;
         let photo = if loss_photo.is_finite() { config.photo_weight as f32 * loss_photo } else { 0.0 };
         Ok(StepResult {
             step: stats.step,

@@ -5,7 +5,7 @@ use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FlowFieldsHeader, FrameKey, InstanceLabels, Message, NetworkWeights, Partner,
     PseudoLabels, PseudoLabelsHeader, ReferenceViews, ReferenceViewsHeader,
 };
-use pseudoflow_network::{ComputeDevice, NetworkConfig, Weights};
+use pseudoflow_network::{ComputeDevice, FlowNetwork, NetworkConfig, Weights};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use std::path::Path;
 
@@ -64,6 +64,8 @@ fn inputs(frame: u64, usable: bool) -> InMemory {
     let mut views = AlignedBytes::zeroed(ReferenceViews::byte_len(&header));
     let message = ReferenceViews::write(&mut views, header);
     message.mask.fill(255);
+    message.depth_m.fill(1.0);
+    message.views.iter_mut().for_each(|view| view.crop_intrinsics = [100.0, 100.0, 31.5, 31.5]);
     message.rgb.chunks_exact_mut(3 * AREA).for_each(|view| view.copy_from_slice(&picture([0.0; 2])));
     message.real_rgb.copy_from_slice(&picture(motion(frame)));
     message.partner_rgb.copy_from_slice(&picture([2.0, 1.0]));
@@ -252,6 +254,24 @@ fn the_loss_falls_and_the_teacher_follows_its_student() {
     };
     let (teacher, student) = (load(files::TEACHER), load(files::STUDENT));
     assert!(apart(&teacher, &start) > 0.0 && apart(&teacher, &student) < apart(&start, &student));
+}
+
+#[test]
+fn the_refiner_learns_from_labels_too_and_resumes_to_the_bit() {
+    let refiner = |folder: &Path| {
+        let weights = folder.join("refiner.safetensors");
+        Weights::random(&FlowNetwork::named("refiner").unwrap(), 3).save(&weights).unwrap();
+        TrainerConfig { weights, network: "auto".into(), augment: false, ..config(folder, 8) }
+    };
+    let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (whole, broken) = (refiner(one.path()), refiner(two.path()));
+    feed(&mut open(&whole), 0..16);
+    feed(&mut open(&broken), 0..7);
+    feed(&mut open(&broken), 6..16);
+    assert!(bytes(&whole, files::TEACHER) == bytes(&broken, files::TEACHER));
+    let log = String::from_utf8(bytes(&whole, files::LOG)).unwrap();
+    let losses: Vec<f64> = log.lines().skip(1).map(|line| line.split(',').nth(1).unwrap().parse().unwrap()).collect();
+    assert!(losses[7] < losses[0], "{losses:?}");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 use crate::TrainerError;
 use crate::synth::SynthConfig;
-use pseudoflow_network::{Architecture, ComputeDevice, FlowNetwork, NetworkConfig, Plateau, Schedule, TrainConfig};
+use pseudoflow_network::{Architecture, ComputeDevice, FlowNetwork, Plateau, Schedule, TrainConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -269,16 +269,5 @@ impl PretrainConfig {
     #[must_use]
     pub fn plateau_path(&self) -> PathBuf {
         self.out.with_extension("plateau")
-    }
-}
-
-/// A RAFT preset by its name, or that of a YAML file.
-pub(crate) fn network_named(name: &str) -> Result<NetworkConfig, TrainerError> {
-    match FlowNetwork::named(name)? {
-        FlowNetwork::Raft(raft) => Ok(raft),
-        FlowNetwork::Refiner(_) => Err(TrainerError::Config {
-            field: "network".into(),
-            wanted: "nano, small, paper or a YAML file of a RAFT here",
-        }),
     }
 }

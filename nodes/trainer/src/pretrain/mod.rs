@@ -13,8 +13,8 @@ mod validation;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use config::shipped;
 pub use config::{Course, PretrainConfig, SHIPPED_REFINER, SHIPPED_WEIGHTS, SizeShare, WarmStart};
-pub(crate) use config::{network_named, shipped};
 pub use progress::{Progress, Silent, TerminalProgress};
 
 use crate::TrainerError;

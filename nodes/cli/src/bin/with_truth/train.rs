@@ -7,7 +7,7 @@ use pseudoflow_msgs::{
 use pseudoflow_player::{PlayerConfig, PlayerNode, Sampling};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node, Produced};
-use pseudoflow_trainer::adapt::{AdaptState, Sample, TrainerConfig, label_px};
+use pseudoflow_trainer::adapt::{AdaptState, Sample, SampleForm, TrainerConfig, label_px};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -74,11 +74,11 @@ struct Samples {
     truth: Truth,
     context: Context,
     seed: u64,
-    shrink: usize,
+    form: SampleForm,
 }
 
 impl Samples {
-    fn open(args: &Args) -> Result<Self, Failure> {
+    fn open(args: &Args, form: SampleForm) -> Result<Self, Failure> {
         let sampling = Sampling {
             samples: args.steps * args.batch,
             partners: 0,
@@ -96,7 +96,7 @@ impl Samples {
             truth: args.source.truth()?,
             context: named("player"),
             seed: args.seed,
-            shrink: (args.label_px() / args.size) as usize,
+            form,
         })
     }
 
@@ -113,7 +113,7 @@ impl Samples {
         let Some((flow, labels)) = self.labels(&views)? else { return Ok(None) };
         let (flow, labels) = (FlowFields::view(&flow)?, PseudoLabels::view(&labels)?);
         let colours = Context { name: "trainer".into(), ..context }.rng(number, "augment 0");
-        Ok(Some(Sample::of(&views, &flow, &labels, 0, self.shrink, Some(colours))))
+        Ok(Some(Sample::of(&views, &flow, &labels, 0, self.form, Some(colours))))
     }
 
     /// Truth in the form of labels; none when nothing of the object is seen.
@@ -164,8 +164,8 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
         ..TrainerConfig::new(args.weights.clone(), args.out.clone(), args.steps)
     };
     config.check()?;
-    let mut source = Samples::open(args)?;
     let mut state = AdaptState::new(&config)?;
+    let mut source = Samples::open(args, SampleForm { by: config.shrink(), geometry: state.network().is_refiner() })?;
     let style = ProgressStyle::with_template("{bar:30} step {pos}/{len} {msg} {eta}")?;
     let bar = ProgressBar::new(args.steps).with_style(style);
     let mut log = String::from("step,loss_flow,epe_px,grad_norm\n");

@@ -21,6 +21,7 @@ mod update;
 pub use batch::{DeviceRefinerBatch, RefinerBatch};
 pub use geometry::reference_geometry;
 pub(crate) use layout::{LEVELS, RADIUS, WIDTHS};
+pub(crate) use train::coarse_loss;
 
 use crate::error::{NetworkError, Result, io_error};
 use crate::guard::guarded_on;

@@ -1,5 +1,7 @@
 use super::*;
-use crate::loss::values;
+use crate::flow_network::FlowNetwork;
+use crate::labels::ExtraLoss;
+use crate::loss::{FlowBatch, values};
 use crate::train::{TrainConfig, TrainState};
 
 pub(crate) fn tiny() -> RefinerConfig {
@@ -155,4 +157,52 @@ fn geometry_does_not_depend_on_the_scale() {
     let mut doubled = [9.0; 18];
     reference_geometry(&depth.map(|d| 2.0 * d), 3, 300.0, &mut doubled);
     assert!(planes.iter().zip(doubled).all(|(a, b)| (a - b).abs() < 1e-3));
+}
+
+/// Labels teach the flow; what is seen and what is sure is not theirs to say.
+#[test]
+fn labels_teach_the_flow_and_leave_the_certainty_alone() {
+    let network = FlowNetwork::Refiner(tiny());
+    let pairs = Pairs::new(2, 64);
+    let mask: Vec<f32> = pairs.visible.iter().map(|v| v.max(0.0)).collect();
+    let batch = FlowBatch { reference: &pairs.reference, real: &pairs.real, flow: &pairs.flow, mask: &mask, n: 2 };
+    let config = TrainConfig::new(1e-3, 30);
+    let mut state = TrainState::new(network.clone(), config, Weights::random(&network, 1), &Device::flex()).unwrap();
+    let before = state.weights.clone();
+    let none = |flow: &[f32]| ExtraLoss { value: 0.0, gradient: vec![0.0; flow.len()] };
+    let errors: Vec<f32> = (0..30).map(|_| state.train_step_with(&batch, 64, 1.0, none).unwrap().epe).collect();
+    assert!(errors[29] < 0.7 * errors[0], "{errors:?}");
+    let heads = |weights: &Weights| -> Vec<Vec<f32>> {
+        let own = weights.tensors().iter().filter(|t| t.name.contains("certainty") && t.name.ends_with("bias"));
+        own.map(|t| t.data.clone()).collect()
+    };
+    // Weight decay is all that touches them.
+    let pairs = heads(&before).concat().into_iter().zip(heads(&state.weights).concat());
+    let moved: Vec<f32> = pairs.map(|(before, after)| (after - before).abs()).collect();
+    assert!(!moved.is_empty() && moved.iter().all(|m| *m < 1e-5), "{moved:?}");
+}
+
+/// A loss from outside reaches the weights by its gradient alone.
+#[test]
+fn a_loss_from_outside_moves_the_flow_along_its_gradient() {
+    for network in [FlowNetwork::Refiner(tiny()), FlowNetwork::named("nano").unwrap()] {
+        let (pairs, channels) = (Pairs::new(1, 64), network.reference_channels());
+        let (flow, mask) = (vec![0.0; 2 * 64 * 64], vec![0.0; 64 * 64]);
+        let reference = &pairs.reference[..channels * 64 * 64];
+        let batch = FlowBatch { reference, real: &pairs.real, flow: &flow, mask: &mask, n: 1 };
+        let config = TrainConfig::new(1e-3, 10);
+        let mut state =
+            TrainState::new(network.clone(), config, Weights::random(&network, 1), &Device::flex()).unwrap();
+        let mut mean_x = Vec::new();
+        for _ in 0..6 {
+            let push = |flow: &[f32]| {
+                mean_x.push(flow[..64 * 64].iter().sum::<f32>() / 4096.0);
+                // To the left everywhere: down the gradient is to the right.
+                let gradient = (0..flow.len()).map(|i| if i < 4096 { -1e-4 } else { 0.0 }).collect();
+                ExtraLoss { value: 0.0, gradient }
+            };
+            state.train_step_with(&batch, 64, 1.0, push).unwrap();
+        }
+        assert!(mean_x[5] > mean_x[0] + 0.05, "{}: {mean_x:?}", network.is_refiner());
+    }
 }

@@ -19,13 +19,22 @@ const COARSE_WEIGHT: f32 = 1.0;
 /// [`crate::ops::mixture_loss`] of the prediction plus the L1 distance of the first flow and of each iteration's, px of the
 /// crop, the later the weightier (`gamma`).
 pub(crate) fn refiner_loss(refinement: &Refinement, batch: &DeviceRefinerBatch, gamma: f32) -> Tensor<1> {
+    let fine = ops::mixture_loss(refinement.prediction.clone(), batch.target.clone(), VISIBILITY_WEIGHT);
+    coarse_terms(refinement, batch, gamma).fold(fine, |sum, term| sum + term)
+}
+
+/// L1 distance of the first flow and of each iteration's but the last, px of the crop.
+pub(crate) fn coarse_loss(refinement: &Refinement, batch: &DeviceRefinerBatch, gamma: f32) -> Tensor<1> {
+    let none = Tensor::zeros([1], &batch.coarse_flow.device());
+    coarse_terms(refinement, batch, gamma).fold(none, |sum, term| sum + term)
+}
+
+fn coarse_terms(refinement: &Refinement, batch: &DeviceRefinerBatch, gamma: f32) -> impl Iterator<Item = Tensor<1>> {
     let last = refinement.coarse.len();
-    let coarse = refinement.coarse.iter().enumerate().map(|(k, flow)| {
+    refinement.coarse.iter().enumerate().map(move |(k, flow)| {
         let weight = COARSE_WEIGHT * gamma.powi((last - k) as i32) * 8.0 / batch.coarse_sum;
         ops::masked_l1(flow.clone(), batch.coarse_flow.clone(), batch.coarse_weight.clone()) * weight
-    });
-    let fine = ops::mixture_loss(refinement.prediction.clone(), batch.target.clone(), VISIBILITY_WEIGHT);
-    coarse.fold(fine, |sum, term| sum + term)
+    })
 }
 
 impl TrainState<RefinerConfig> {
