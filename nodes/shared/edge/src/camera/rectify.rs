@@ -1,30 +1,30 @@
-mod blend;
+mod cubic;
 
 use super::calibration::Calibration;
 use super::{CalibrationError, Distortion};
-use bytemuck::{Pod, Zeroable};
+use cubic::{Cubic, Place, SIDE};
 use nalgebra::{Matrix3, Vector3};
 use pseudoflow_imaging::BACKGROUND_GREY;
 
 /// Takes the distortion out of images of one size: for each pixel of the rectified image, where it is seen in the image as it
-/// came (OpenCV's `initUndistortRectifyMap`), sampled bilinearly in steps of 1/256 pixel. What the camera did not see is grey.
+/// came (OpenCV's `initUndistortRectifyMap`), sampled by cubic convolution ([`cubic`]) in steps of 1/128 pixel. What the camera did not see is grey.
 #[derive(Debug, Clone)]
 pub struct Rectifier {
     width: usize,
     height: usize,
     taps: Vec<Tap>,
+    cubic: Cubic,
     map: Map,
 }
 
 /// Where a pixel comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Tap {
-    /// Byte of the upper left of four pixels; that of the grey behind the image where the camera did not see.
+    /// Byte of the upper left of 4 x 4 pixels; that of the grey behind the image where the camera did not see.
     offset: u32,
-    /// Weights of the right and the lower pixels, 0 to 256.
-    right: u16,
-    below: u16,
+    /// Weights of their columns and rows.
+    across: Place,
+    down: Place,
 }
 
 /// Half a pixel around the image still counts as seen.
@@ -39,12 +39,12 @@ impl Rectifier {
         let Some(distortion) = calibration.distortion else { return Ok(None) };
         let map = Map::new(calibration, distortion, size)?;
         let (width, height) = (size.0 as usize, size.1 as usize);
-        if width < 2 || height < 2 {
+        if width < SIDE || height < SIDE {
             return Ok(None);
         }
         let pixels = (0..height).flat_map(|v| (0..width).map(move |u| [u as f64, v as f64]));
         let taps = pixels.map(|pixel| Tap::new(map.source(pixel), width, height)).collect();
-        Ok(Some(Self { width, height, taps, map }))
+        Ok(Some(Self { width, height, taps, cubic: Cubic::new(), map }))
     }
 
     /// Where what a pixel of the rectified image shows is in the image as it came.
@@ -57,10 +57,10 @@ impl Rectifier {
     pub fn apply(&self, source: &mut Vec<u8>, target: &mut Vec<u8>) {
         let (len, stride) = (self.width * self.height * 3, self.width * 3);
         debug_assert_eq!(source.len(), len);
-        // Behind the image lies a row of grey, and the bytes that reading four at a time reaches beyond it.
-        source.resize(len + stride + 8, BACKGROUND_GREY);
+        // Behind the image lie rows of grey, and the bytes that reading four pixels as sixteen bytes reaches beyond them.
+        source.resize(len + (SIDE - 1) * stride + 16, BACKGROUND_GREY);
         target.resize(len, 0);
-        blend::sample(&self.taps, source, stride, target.as_chunks_mut::<3>().0);
+        self.cubic.sample(&self.taps, source, stride, target.as_chunks_mut::<3>().0);
         source.truncate(len);
     }
 }
@@ -69,15 +69,10 @@ impl Tap {
     fn new(at: Option<[f64; 2]>, width: usize, height: usize) -> Self {
         let inside = |at: f64, size: usize| at > -MARGIN_PX && at < size as f64 - 1.0 + MARGIN_PX;
         let Some([x, y]) = at.filter(|[x, y]| inside(*x, width) && inside(*y, height)) else {
-            return Self { offset: (width * height * 3) as u32, right: 0, below: 0 };
+            return Self { offset: (width * height * 3) as u32, across: Place::WHOLE, down: Place::WHOLE };
         };
-        let split = |at: f64, size: usize| {
-            let at = at.clamp(0.0, (size - 1) as f64);
-            let whole = (at.floor() as usize).min(size - 2);
-            (whole, ((at - whole as f64) * 256.0).round() as u16)
-        };
-        let ((column, right), (row, below)) = (split(x, width), split(y, height));
-        Self { offset: ((row * width + column) * 3) as u32, right, below }
+        let ((column, across), (row, down)) = (Place::new(x, width), Place::new(y, height));
+        Self { offset: ((row * width + column) * 3) as u32, across, down }
     }
 }
 
