@@ -153,14 +153,14 @@ impl Names {
     }
 
     /// One line for each rule that has matched nothing.
-    pub(crate) fn warn_of_unused(&self) {
+    pub(crate) fn unused(&self) -> Vec<String> {
         let used = self.used.borrow();
-        for (from, to) in self.remap.iter().filter(|(from, _)| !used.contains(*from)) {
-            log::warn!("remapping {from}:={to} matches no topic of this node");
-        }
-        for topic in self.overrides.keys().filter(|topic| !used.contains(*topic)) {
-            log::warn!("qos_overrides.{topic} matches no topic of this node");
-        }
+        let rules = self.remap.iter().filter(|(from, _)| !used.contains(*from));
+        let overrides = self.overrides.keys().filter(|topic| !used.contains(*topic));
+        rules
+            .map(|(from, to)| format!("remapping {from}:={to} matches no topic of this node"))
+            .chain(overrides.map(|topic| format!("qos_overrides.{topic} matches no topic of this node")))
+            .collect()
     }
 }
 

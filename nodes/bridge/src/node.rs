@@ -4,6 +4,7 @@ use crate::names::Names;
 use crate::publish::PosePublisher;
 use crate::{BridgeConfig, BridgeError, DdsEnvironment, Participant};
 use pseudoflow_msgs::{CameraFrame, DetectedFrame, ObjectPoses, ObjectStatuses};
+use pseudoflow_runtime::supervisor::{Severity, Warnings};
 use pseudoflow_runtime::{Context, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Role, read};
 use std::time::{Duration, Instant};
 
@@ -20,6 +21,10 @@ pub struct Bridge {
     ledger: Ledger,
     reported: Instant,
     participant: Participant,
+    /// What the other nodes of the graph warn of.
+    others: Warnings,
+    /// Name of this node in the graph.
+    name: String,
 }
 
 impl Node for Bridge {
@@ -57,17 +62,20 @@ impl Node for Bridge {
         let mut participant = Participant::open(environment, &config.namespace, &config.node_name)?;
         let publisher = PosePublisher::new(&mut participant, &names, &config)?;
         let camera = LiveCamera::open(&mut participant, &names, &config, context)?;
-        names.warn_of_unused();
         let (mut ledger, reported) = (Ledger::default(), Instant::now());
+        names.unused().into_iter().for_each(|line| ledger.say(line));
         let variable = |name: &str| std::env::var_os(name).map(|value| value.to_string_lossy().into_owned());
         DdsEnvironment::not_honoured(variable).into_iter().for_each(|line| ledger.say(line));
         let other = DdsEnvironment::other_release(variable("ROS_DISTRO").as_deref());
         other.into_iter().for_each(|line| ledger.say(line));
-        Ok(Self { publisher, camera, names, ledger, reported, participant })
+        let others = Warnings::of_run(&context.out_dir, context.restarts > 0);
+        let name = context.name.clone();
+        Ok(Self { publisher, camera, names, ledger, reported, participant, others, name })
     }
 
     /// Publishes a frame's poses. Where the graph gives no `frame`, they are poses of the bridge's own camera.
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
+        self.report()?;
         let poses = read::<ObjectPoses>(inputs, "poses")?;
         let key = inputs.key();
         let frame_id = match (inputs.bytes("frame"), self.camera.as_ref().map(LiveCamera::frame_id)) {
@@ -100,6 +108,7 @@ impl Node for Bridge {
     }
 
     fn finish(&mut self, _: &Context) -> Result<(), NodeError> {
+        self.pass_on();
         std::thread::sleep(LINGER);
         log::info!("published {:?}", self.publisher.published());
         Ok(())
@@ -113,13 +122,21 @@ impl Bridge {
         &self.participant
     }
 
-    /// Passes on what was dropped: the lines of the log at once, the account once a second.
+    /// Passes on what was dropped: the lines of the log at once, the account, and what other nodes warn of, once a second.
     fn report(&mut self) -> Result<(), BridgeError> {
-        self.ledger.take_said().iter().for_each(|line| self.participant.say(line));
+        self.ledger.take_said().iter().for_each(|line| self.participant.say(Severity::Warning, None, line));
         if self.reported.elapsed() >= REPORT {
             self.reported = Instant::now();
             self.publisher.report(&mut self.ledger)?;
+            self.pass_on();
         }
         Ok(())
+    }
+
+    /// What other nodes warn of goes out on /rosout; this one's own lines do already.
+    fn pass_on(&mut self) {
+        for warning in self.others.take().iter().filter(|warning| warning.node != self.name) {
+            self.participant.say(warning.severity, Some(&warning.node), &warning.text);
+        }
     }
 }

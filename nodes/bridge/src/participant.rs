@@ -2,6 +2,7 @@ use crate::camera::Offer;
 use crate::names::Names;
 use crate::{BridgeError, DdsEnvironment, DiscoveryRange};
 use pseudoflow_msgs::ros::RosMessage;
+use pseudoflow_runtime::supervisor::Severity;
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::dds::rustdds::discovery::PublicationBuiltinTopicData;
 use ros2_client::log::LogLevel;
@@ -107,10 +108,13 @@ impl Participant {
         of_topic.map(|data| Offer { type_name: data.type_name.clone(), reliable: reliable(data) }).collect()
     }
 
-    /// Says a warning on /rosout.
-    pub(crate) fn say(&self, line: &str) {
+    /// Says a warning on /rosout; the logger is this node, or below it the node of the graph that warns.
+    pub(crate) fn say(&self, severity: Severity, of: Option<&str>, line: &str) {
         let now = ros2_client::builtin_interfaces::Time::now();
-        self.node.rosout_raw(now, LogLevel::Warn, self.node.base_name(), line, file!(), "", line!());
+        let level = if severity == Severity::Error { LogLevel::Error } else { LogLevel::Warn };
+        let own = self.node.base_name();
+        let logger = of.map_or_else(|| own.to_owned(), |node| format!("{own}.{node}"));
+        self.node.rosout_raw(now, level, &logger, line, file!(), "", line!());
     }
 
     /// How many subscribers of an absolute topic name have been found.

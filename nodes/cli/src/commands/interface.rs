@@ -46,10 +46,16 @@ ros2 launch pseudoflow track.launch.yaml camera:=/camera/image_raw namespace:=le
 ROS_AUTOMATIC_DISCOVERY_RANGE are honoured; ROS_STATIC_PEERS, CYCLONEDDS_URI, FASTRTPS_DEFAULT_PROFILES_FILE and ROS_DISCOVERY_SERVER are
 not, and the log says so.
 
+What any node of the graph warns of also goes out on `/rosout`, by the logger NODE_NAME.NODE (`pseudoflow.flow`).
+
+Messages are the same for all releases of ROS 2 since Humble. The node graph (`ros_discovery_info`, from which `ros2 node list` and `ros2 topic
+info` read who publishes what) is not: Humble's gids have 24 bytes, later ones 16. The default build speaks the latter; for Humble build with
+`--no-default-features --features humble`.
+
 ## Cameras
 
 Images are rectified inside: `plumb_bob` (4 or 5 coefficients), `rational_polynomial` (8), `equidistant` (4), to P, or to K where there is no
-P; what the lens did not see is grey. Regions of interest and binning change the intrinsics as REP 104 says. Encodings: rgb8, bgr8, rgba8,
+P, by cubic convolution; what the lens did not see is grey. Regions of interest and binning change the intrinsics as REP 104 says. Encodings: rgb8, bgr8, rgba8,
 bgra8, mono8, their forms of 16 bits, bayer_* of 8 and 16 bits, yuv422 (uyvy), yuv422_yuy2 (yuyv), nv12, nv21; JPEG and PNG. What cannot
 be used is dropped, counted, and named in the log, on `/rosout` and on `diagnostics`; it never ends the run. When no image comes for two
 seconds, the log says why.

@@ -1,29 +1,32 @@
+mod cubic;
+
 use super::calibration::Calibration;
 use super::{CalibrationError, Distortion};
+use cubic::{Cubic, Place, SIDE};
 use nalgebra::{Matrix3, Vector3};
 use pseudoflow_imaging::BACKGROUND_GREY;
 
 /// Takes the distortion out of images of one size: for each pixel of the rectified image, where it is seen in the image as it
-/// came (OpenCV's `initUndistortRectifyMap`), sampled bilinearly in steps of 1/256 pixel. What the camera did not see is grey.
+/// came (OpenCV's `initUndistortRectifyMap`), sampled by cubic convolution ([`cubic`]) in steps of 1/128 pixel. What the camera did not see is grey.
 #[derive(Debug, Clone)]
 pub struct Rectifier {
     width: usize,
     height: usize,
     taps: Vec<Tap>,
+    cubic: Cubic,
     map: Map,
 }
 
 /// Where a pixel comes from.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Tap {
-    /// Byte of the upper left of four pixels; [`OUTSIDE`] where the camera did not see.
+    /// Byte of the upper left of 4 x 4 pixels; that of the grey behind the image where the camera did not see.
     offset: u32,
-    /// Weights of the right and the lower pixels, 0 to 256.
-    right: u16,
-    below: u16,
+    /// Weights of their columns and rows.
+    across: Place,
+    down: Place,
 }
 
-const OUTSIDE: u32 = u32::MAX;
 /// Half a pixel around the image still counts as seen.
 const MARGIN_PX: f64 = 0.5;
 
@@ -36,12 +39,12 @@ impl Rectifier {
         let Some(distortion) = calibration.distortion else { return Ok(None) };
         let map = Map::new(calibration, distortion, size)?;
         let (width, height) = (size.0 as usize, size.1 as usize);
-        if width < 2 || height < 2 {
+        if width < SIDE || height < SIDE {
             return Ok(None);
         }
         let pixels = (0..height).flat_map(|v| (0..width).map(move |u| [u as f64, v as f64]));
-        let taps = pixels.map(|pixel| map.source(pixel).map_or(Tap::NONE, |at| Tap::new(at, width, height))).collect();
-        Ok(Some(Self { width, height, taps, map }))
+        let taps = pixels.map(|pixel| Tap::new(map.source(pixel), width, height)).collect();
+        Ok(Some(Self { width, height, taps, cubic: Cubic::new(), map }))
     }
 
     /// Where what a pixel of the rectified image shows is in the image as it came.
@@ -52,65 +55,29 @@ impl Rectifier {
 
     /// Rectifies `source`, rows of R, G, B, into `target`.
     pub fn apply(&self, source: &mut Vec<u8>, target: &mut Vec<u8>) {
-        let len = self.width * self.height * 3;
+        let (len, stride) = (self.width * self.height * 3, self.width * 3);
         debug_assert_eq!(source.len(), len);
-        // Two pixels are read as one number of 8 bytes: the last ones reach beyond the image.
-        source.resize(len + 2, 0);
+        // Behind the image lie rows of grey, and the bytes that reading four pixels as sixteen bytes reaches beyond them.
+        source.resize(len + (SIDE - 1) * stride + 16, BACKGROUND_GREY);
         target.resize(len, 0);
-        let stride = self.width * 3;
-        for (pixel, tap) in target.as_chunks_mut::<3>().0.iter_mut().zip(&self.taps) {
-            *pixel = tap.sample(source, stride);
-        }
+        self.cubic.sample(&self.taps, source, stride, target.as_chunks_mut::<3>().0);
         source.truncate(len);
     }
 }
 
 impl Tap {
-    const NONE: Self = Self { offset: OUTSIDE, right: 0, below: 0 };
-
-    fn new([x, y]: [f64; 2], width: usize, height: usize) -> Self {
+    fn new(at: Option<[f64; 2]>, width: usize, height: usize) -> Self {
         let inside = |at: f64, size: usize| at > -MARGIN_PX && at < size as f64 - 1.0 + MARGIN_PX;
-        if !(inside(x, width) && inside(y, height)) {
-            return Self::NONE;
-        }
-        let split = |at: f64, size: usize| {
-            let at = at.clamp(0.0, (size - 1) as f64);
-            let whole = (at.floor() as usize).min(size - 2);
-            (whole, ((at - whole as f64) * 256.0).round() as u16)
+        let Some([x, y]) = at.filter(|[x, y]| inside(*x, width) && inside(*y, height)) else {
+            return Self { offset: (width * height * 3) as u32, across: Place::WHOLE, down: Place::WHOLE };
         };
-        let ((column, right), (row, below)) = (split(x, width), split(y, height));
-        Self { offset: ((row * width + column) * 3) as u32, right, below }
-    }
-
-    #[inline(always)]
-    fn sample(self, source: &[u8], stride: usize) -> [u8; 3] {
-        if self.offset == OUTSIDE {
-            return [BACKGROUND_GREY; 3];
-        }
-        let two = |at: usize| {
-            let bytes = source[at..].first_chunk::<8>().map_or(0, |bytes| u64::from_le_bytes(*bytes));
-            blend(lanes(bytes), lanes(bytes >> 24), u64::from(self.right))
-        };
-        let at = self.offset as usize;
-        let mixed = blend(two(at), two(at + stride), u64::from(self.below));
-        [mixed as u8, (mixed >> 16) as u8, (mixed >> 32) as u8]
+        let ((column, across), (row, down)) = (Place::new(x, width), Place::new(y, height));
+        Self { offset: ((row * width + column) * 3) as u32, across, down }
     }
 }
 
-/// Three bytes to three lanes of 16 bits.
-#[inline(always)]
-fn lanes(bytes: u64) -> u64 {
-    (bytes & 0xff) | (bytes & 0xff00) << 8 | (bytes & 0xff_0000) << 16
-}
-
-/// (a (256 - w) + b w) / 256 in each lane, rounded.
-#[inline(always)]
-fn blend(a: u64, b: u64, weight: u64) -> u64 {
-    ((a * (256 - weight) + b * weight + 0x0080_0080_0080) >> 8) & 0x00ff_00ff_00ff
-}
-
-#[derive(Debug, Clone)]
 /// From pixels of the rectified image to pixels of the image as it came.
+#[derive(Debug, Clone)]
 pub(super) struct Map {
     raw: [f64; 4],
     distortion: Distortion,
@@ -227,12 +194,12 @@ mod tests {
     }
 
     #[test]
-    fn blends_are_exact_at_their_ends_and_do_not_overflow() {
-        for (a, b) in [(255, 255), (255, 0), (0, 255), (17, 99)] {
-            let packed = |v: u64| lanes(v | v << 8 | v << 16);
-            assert_eq!(blend(packed(a), packed(b), 0), packed(a));
-            assert_eq!(blend(packed(a), packed(b), 256), packed(b));
-            assert_eq!(blend(packed(a), packed(b), 128) & 0xff, (a + b).div_ceil(2));
-        }
+    fn images_whose_pixels_are_no_whole_number_of_blocks_are_rectified_to_their_last() {
+        let size = (13, 9);
+        let pinhole = CameraInfo::pinhole(Header::default(), size, [13.0, 13.0, 6.0, 4.0]);
+        let info = CameraInfo { distortion_model: "plumb_bob".into(), d: vec![-0.01, 0.0, 0.0, 0.0], ..pinhole };
+        let mut rgb = vec![90; 13 * 9 * 3];
+        Lens::new(&info, size, false).unwrap().rectify(&mut rgb, &mut Vec::new());
+        assert_eq!(rgb, vec![90; 13 * 9 * 3]);
     }
 }

@@ -1,6 +1,7 @@
 use super::child::{self, Event, LastWords};
 use super::table::LiveTable;
 use super::territory::Territory;
+use super::warnings::{Severity, WarningsFile};
 use super::watchdog::{Deadlines, Watchdog};
 use super::{Incident, Options, Summary, SupervisorError};
 use crate::board::{Board, State, Word};
@@ -76,6 +77,7 @@ pub(super) struct Control<'a> {
     /// Whether all nodes were there when the run was asked to stop.
     had_begun: bool,
     incidents: VecDeque<Incident>,
+    warnings: WarningsFile,
     watchdog: Watchdog,
     begin: Instant,
     table: LiveTable,
@@ -126,6 +128,7 @@ impl<'a> Control<'a> {
             killed: Vec::new(),
             had_begun: false,
             incidents: VecDeque::new(),
+            warnings: WarningsFile::create(&options.run_dir),
             watchdog: Watchdog::new(Deadlines { frame, start }, plan.nodes.len()),
             begin: Instant::now(),
             table: LiveTable::new(options.print),
@@ -169,6 +172,7 @@ impl<'a> Control<'a> {
     fn note(&mut self, node: usize, what: String) {
         let name = self.plan.nodes[node].name.clone();
         self.table.say(&format!("node `{name}` {what}"));
+        self.warnings.write(Severity::Warning, &name, &what);
         if self.incidents.len() == Incident::KEPT {
             self.incidents.pop_front();
         }
@@ -190,6 +194,7 @@ impl<'a> Control<'a> {
 
     fn hear(&mut self, node: usize, text: &str) {
         self.charges[node].words.hear(text);
+        self.warnings.hear(&self.plan.nodes[node].name, text);
         let width = self.plan.nodes.iter().map(|node| node.name.len()).max().unwrap_or(0);
         self.table.say(&format!("{:width$} | {text}", self.plan.nodes[node].name));
     }

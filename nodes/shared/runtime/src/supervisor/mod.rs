@@ -5,9 +5,11 @@ mod control;
 mod summary;
 mod table;
 mod territory;
+mod warnings;
 mod watchdog;
 
 pub use summary::{Incident, NodeSummary, ObjectsWork, Summary};
+pub use warnings::{Severity, Warning, Warnings};
 
 use crate::Registry;
 use crate::graph::{Graph, GraphError};
