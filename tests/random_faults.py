@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """Kills and stops nodes at random times: replays and trainings must leave the same bytes, live graphs must be back.
 
-    tests/random_faults.py --faults 12            part of tests/run
-    tests/random_faults.py --faults 300 --seed 2  the long one
+    tests/random_faults.py --faults 12                        part of tests/run
+    tests/random_faults.py --faults 100 --back-s 2 --seed 2   the long one: 300 in all
 
 Needs the release binary (target/release/pseudoflow) and nothing else. Prints a line for each run and ends with 1 if any
-result differs, a live node does not come back, or a run leaves something in /dev/shm or the temporary folder.
+result differs, a live node does not handle frames again within --back-s, or a run leaves something in /dev/shm or the temporary
+folder. A live run ends every node once by SIGKILL and once by SIGSTOP, one after the other.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import os
 import pathlib
 import random
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -32,14 +34,23 @@ TRAINING = [
     "flow.size_px=64", "flow.iterations=4", "flow.lockstep={frames_per_step: 2, publish_every: 1}",
     "consistency.tau_px_at_256=16", "window=6",
 ]
-LIVE = ["mode=live", "flow.size_px=64", "renderer.size_px=64", "flow.iterations=2"]
+# A camera that does not end: the run is stopped.
+LIVE = [
+    "mode=live", "flow.size_px=64", "renderer.size_px=64", "flow.iterations=2", "player.hz=15", "player.passes=100000",
+    "recorder.max_bytes=16000000", "recorder.overlay=null",
+]
+# Layout of the run's board (nodes/shared/runtime/src/board.rs).
+MAGIC, HEADER_WORDS, NODE_WORDS, PID, STATE, FRAMES = 0x7066626F61726405, 16, 704, 0, 1, 5
+PATIENCE_S = 180
 
 
 def settings(kind, out):
     own = {"replay": REPLAY, "training": TRAINING, "live": LIVE}[kind]
     places = {
         "training": [f"trainer.out={out}/training"],
-    }.get(kind, [f"recorder.path={out}/recording", f"recorder.overlay.pictures={out}/overlays", f"evaluator.out={out}"])
+        "live": [f"recorder.path={out}/recording", f"evaluator.out={out}"],
+        "replay": [f"recorder.path={out}/recording", f"recorder.overlay.pictures={out}/overlays", f"evaluator.out={out}"],
+    }[kind]
     return [word for text in COMMON + own + places for word in ("--set", text)]
 
 
@@ -112,6 +123,85 @@ def disturb(run, chance, faults):
     return made
 
 
+class Board:
+    """What the run's processes know of each other."""
+
+    def __init__(self, out):
+        self.path = out / "run/.run/board"
+
+    def words(self):
+        data = self.path.read_bytes()
+        words = struct.unpack(f"<{len(data) // 8}Q", data)
+        assert words[0] == MAGIC, "the board has another layout: mend this script"
+        return words
+
+    def slot(self, pid):
+        """The place of the node whose process this is, or None."""
+        words = self.words()
+        places = range(HEADER_WORDS, len(words), NODE_WORDS)
+        return next((at for at in places if words[at + PID] == pid), None)
+
+    def now(self, at):
+        words = self.words()
+        return words[at + PID], words[at + FRAMES]
+
+
+def wait_for(what, step, patience_s=PATIENCE_S):
+    deadline = time.monotonic() + patience_s
+    while not (result := step()):
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{what}: not within {patience_s} s")
+        time.sleep(0.01)
+    return result
+
+
+def moving(run, board):
+    """All nodes by name with place and process, when each has handled a frame."""
+    nodes = children(run)
+    places = {name: (board.slot(pid), pid) for name, pid in nodes.items()}
+    there = len(places) == 7 and all(at is not None for at, _ in places.values())
+    return places if there and all(board.now(at)[1] > 0 for at, _ in places.values()) else None
+
+
+def seconds_away(board, at, pid, how):
+    """Ends a process and waits until its successor has handled a frame."""
+    begin, frames = time.monotonic(), board.now(at)[1]
+    os.kill(pid, how)
+
+    def is_back():
+        now = board.now(at)
+        return now[0] != pid and now[1] > frames
+
+    wait_for("a node that was ended", is_back)
+    return time.monotonic() - begin
+
+
+def live_round(number, faults, chance, folder, back_s):
+    """Ends each node by both signals in turn; how long each was away is what counts."""
+    out = folder / f"live_{number}"
+    run = start("live", out)
+    taken, board, away, problems = territory(run, out), Board(out), {}, []
+    try:
+        for how in [signal.SIGKILL, signal.SIGSTOP]:
+            names = sorted(wait_for("a live graph in which all nodes handle frames", lambda: moving(run, board)))
+            for name in chance.sample(names, len(names))[: faults - len(away)]:
+                at, pid = wait_for("all nodes", lambda: moving(run, board))[name]
+                away[name, how.name] = seconds_away(board, at, pid, how)
+                time.sleep(chance.uniform(0.05, 0.6))
+    except (TimeoutError, OSError) as problem:
+        problems.append(str(problem))
+    run.send_signal(signal.SIGINT)
+    code = run.wait()
+    problems += [] if code == 0 else [f"exit code {code}: {out}/log.txt"]
+    problems += [f"{name} ({how}) away for {s:.2f} s" for (name, how), s in away.items() if s > back_s]
+    problems += [f"left behind: {name}" for name in left_behind(taken)]
+    longest = max(away, key=away.get) if away else ("nobody", "")
+    told = f"back after {sorted(away.values())[len(away) // 2]:.2f} s at the median, {longest[0]} ({longest[1]}) after "
+    told += f"{away[longest]:.2f} s" if away else ""
+    print(f"live {number}: {len(away)} faults, {'; '.join(problems) or told}", flush=True)
+    return len(away), bool(problems)
+
+
 def round_of(kind, number, faults, chance, folder, calm):
     out = folder / f"{kind}_{number}"
     run = start(kind, out)
@@ -119,11 +209,10 @@ def round_of(kind, number, faults, chance, folder, calm):
     made = disturb(run, chance, faults)
     code = run.wait()
     problems = [] if code == 0 else [f"exit code {code}: {out}/log.txt"]
-    if kind != "live" and code == 0 and digest(kind, out) != calm:
+    if code == 0 and digest(kind, out) != calm:
         problems.append("other results")
     problems += [f"left behind: {name}" for name in left_behind(taken)]
-    well = "ended in order" if kind == "live" else "as undisturbed"
-    print(f"{kind} {number}: {made} faults, {'; '.join(problems) or well}", flush=True)
+    print(f"{kind} {number}: {made} faults, {'; '.join(problems) or 'as undisturbed'}", flush=True)
     return made, bool(problems)
 
 
@@ -132,18 +221,25 @@ def main():
     parser.add_argument("--faults", type=int, default=12, help="of each kind of graph")
     parser.add_argument("--each", type=int, default=6, help="most of one run")
     parser.add_argument("--kinds", default="replay,training,live")
+    parser.add_argument("--back-s", type=float, default=PATIENCE_S, help="longest that a live node may be away")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     chance, failed, total = random.Random(given.seed), False, 0
     with tempfile.TemporaryDirectory(prefix="faults_") as name:
         folder = pathlib.Path(name)
         for kind in given.kinds.split(","):
-            calm_out = folder / f"{kind}_calm"
-            if start(kind, calm_out).wait() != 0:
-                sys.exit((calm_out / "log.txt").read_text())
-            calm, made, number = digest(kind, calm_out), 0, 0
+            calm, made, number = None, 0, 0
+            if kind != "live":
+                calm_out = folder / f"{kind}_calm"
+                if start(kind, calm_out).wait() != 0:
+                    sys.exit((calm_out / "log.txt").read_text())
+                calm = digest(kind, calm_out)
             while made < given.faults and not failed:
-                more, failed = round_of(kind, number, min(given.each, given.faults - made), chance, folder, calm)
+                left = given.faults - made
+                if kind == "live":
+                    more, failed = live_round(number, left, chance, folder, given.back_s)
+                else:
+                    more, failed = round_of(kind, number, min(given.each, left), chance, folder, calm)
                 made, number = made + more, number + 1
             total += made
             if failed:

@@ -1,5 +1,6 @@
 """The ROS 2 messages that the interop tests exchange, as CycloneDDS types, written down from the .msg files."""
 
+import functools
 from dataclasses import dataclass
 
 from cyclonedds.idl import IdlStruct
@@ -188,3 +189,69 @@ class CameraInfo(IdlStruct, typename=ros("sensor_msgs", "CameraInfo")):
     binning_x: uint32
     binning_y: uint32
     roi: RegionOfInterest
+
+
+@dataclass
+class Point2D(IdlStruct, typename=ros("vision_msgs", "Point2D")):
+    x: float64
+    y: float64
+
+
+@dataclass
+class Pose2D(IdlStruct, typename=ros("vision_msgs", "Pose2D")):
+    position: Point2D
+    theta: float64
+
+
+@dataclass
+class BoundingBox2D(IdlStruct, typename=ros("vision_msgs", "BoundingBox2D")):
+    center: Pose2D
+    size_x: float64
+    size_y: float64
+
+
+@dataclass
+class Detection2D(IdlStruct, typename=ros("vision_msgs", "Detection2D")):
+    header: Header
+    results: sequence[ObjectHypothesisWithPose]
+    bbox: BoundingBox2D
+    id: str
+
+
+@dataclass
+class Detection2DArray(IdlStruct, typename=ros("vision_msgs", "Detection2DArray")):
+    header: Header
+    detections: sequence[Detection2D]
+
+
+@dataclass
+class KeyValue(IdlStruct, typename=ros("diagnostic_msgs", "KeyValue")):
+    key: str
+    value: str
+
+
+@dataclass
+class DiagnosticStatus(IdlStruct, typename=ros("diagnostic_msgs", "DiagnosticStatus")):
+    level: uint8
+    name: str
+    message: str
+    hardware_id: str
+    values: sequence[KeyValue]
+
+
+@dataclass
+class DiagnosticArray(IdlStruct, typename=ros("diagnostic_msgs", "DiagnosticArray")):
+    header: Header
+    status: sequence[DiagnosticStatus]
+
+
+@functools.cache
+def garbled(kind):
+    """A type of the same name that says nothing of what that type says: a message that cannot be read."""
+    name = kind.__idl_typename__.replace(".", "::")
+
+    @dataclass
+    class Garbled(IdlStruct, typename=name):
+        byte: uint8
+
+    return Garbled

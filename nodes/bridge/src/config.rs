@@ -89,6 +89,11 @@ impl BridgeConfig {
     /// # Errors
     /// The first that is wrong.
     pub fn check(&self) -> Result<(), BridgeError> {
+        self.checked().map(|_| ())
+    }
+
+    /// As [`Self::check`]; gives the objects, which take the longest to read.
+    pub(crate) fn checked(&self) -> Result<Catalogue, BridgeError> {
         node_name(&self.namespace, &self.node_name)?;
         let names = Names::new(self);
         names.resolve("namespace", "object_pose")?;
@@ -100,9 +105,10 @@ impl BridgeConfig {
         if !(self.switch_after_s >= 0.0 && self.switch_after_s.is_finite()) {
             return Err(BridgeError::Seconds { field: "switch_after_s", value: self.switch_after_s });
         }
-        let naming = self.catalogue()?.naming;
-        self.object.as_deref().map(|name| naming.wanted(name)).transpose()?;
-        self.camera.as_ref().map_or(Ok(()), |camera| camera.check(&names))
+        let catalogue = self.catalogue()?;
+        self.object.as_deref().map(|name| catalogue.naming.wanted(name)).transpose()?;
+        self.camera.as_ref().map_or(Ok(()), |camera| camera.check(&names))?;
+        Ok(catalogue)
     }
 
     /// What objects are called and look like.

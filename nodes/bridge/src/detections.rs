@@ -6,11 +6,14 @@ use pseudoflow_edge::rectangle_of;
 use pseudoflow_msgs::ros::{Detection2DArray, Detection3DArray, Header, Naming, object_poses};
 use pseudoflow_msgs::{CameraFrameHeader, FrameKey, ObjectPose, Rectangle};
 use std::collections::VecDeque;
+use std::time::{Duration, Instant};
 
 /// Most detections of one message that are used, the surest first.
 const MOST_DETECTIONS: usize = 64;
 /// Most answers that wait for their image.
 const MOST_EARLY: usize = 64;
+/// An answer waits for its image at least so long: a small message overtakes a large one.
+const LEAST_PATIENCE: Duration = Duration::from_secs(1);
 /// No object is farther away.
 const FARTHEST_M: f64 = 1000.0;
 
@@ -91,6 +94,8 @@ pub(crate) trait Answer: Sized {
     /// What the house makes of one detection.
     type Found;
     fn header(&self) -> &Header;
+    /// Whether it says that nothing was found.
+    fn is_empty(&self) -> bool;
     fn found(&self, image: &Remembered, naming: &Naming, topic: &str, ledger: &mut Ledger) -> Vec<Self::Found>;
 }
 
@@ -98,26 +103,34 @@ pub(crate) trait Answer: Sized {
 #[derive(Debug)]
 pub(crate) struct Matcher<A> {
     topic: String,
-    early: VecDeque<A>,
+    early: VecDeque<(Instant, A)>,
+    /// How long an answer waits for its image.
+    patience: Duration,
 }
 
 impl<A: Answer> Matcher<A> {
-    pub(crate) fn new(topic: String) -> Self {
-        Self { topic, early: VecDeque::new() }
+    /// For answers on a topic to images that are remembered for `keep_s`.
+    pub(crate) fn new(topic: String, keep_s: f64) -> Self {
+        let patience = LEAST_PATIENCE.max(Duration::from_secs_f64(keep_s));
+        Self { topic, early: VecDeque::new(), patience }
     }
 
     pub(crate) fn push(&mut self, answer: A, ledger: &mut Ledger) {
-        self.early.push_back(answer);
-        if self.early.len() > MOST_EARLY && self.early.pop_front().is_some() {
-            ledger.drop(
-                &self.topic,
-                "future",
-                "no image of this stamp has come: stamp detections with their image's stamp",
-            );
+        self.early.push_back((Instant::now(), answer));
+        if self.early.len() > MOST_EARLY {
+            self.give_up_oldest(ledger);
         }
     }
 
-    /// The next answer whose image is known, with what it says of it.
+    fn give_up_oldest(&mut self, ledger: &mut Ledger) {
+        if self.early.pop_front().is_some() {
+            const CAUSE: &str = "no image of this stamp has come: stamp detections with their image's stamp";
+            ledger.drop(&self.topic, "future", CAUSE);
+        }
+    }
+
+    /// The next answer whose image is known, with what it says of it. One that says something, but nothing that can be used, is
+    /// no answer: another may follow.
     pub(crate) fn take(
         &mut self,
         memory: &Memory,
@@ -126,13 +139,13 @@ impl<A: Answer> Matcher<A> {
     ) -> Option<(FrameKey, Vec<A::Found>)> {
         let mut at = 0;
         while at < self.early.len() {
-            let stamp_ns = self.early[at].header().stamp.as_ns();
+            let stamp_ns = self.early[at].1.header().stamp.as_ns();
             let matched = memory.image(stamp_ns);
             if matched == Err(Unmatched::Early) {
                 at += 1;
                 continue;
             }
-            let answer = self.early.remove(at)?;
+            let (_, answer) = self.early.remove(at)?;
             match matched {
                 Err(Unmatched::Old) => ledger.drop(&self.topic, "late", "its image is older than `camera.memory_s`"),
                 Err(_) => ledger.drop(&self.topic, "stamp", format!("no image has the stamp {stamp_ns} ns")),
@@ -140,8 +153,16 @@ impl<A: Answer> Matcher<A> {
                     let (theirs, ours) = (&answer.header().frame_id, image.header.frame_id());
                     ledger.drop(&self.topic, "frame_id", format!("`{theirs}` is not the image's frame `{ours}`"));
                 }
-                Ok(image) => return Some((image.key, answer.found(image, naming, &self.topic, ledger))),
+                Ok(image) => {
+                    let found = answer.found(image, naming, &self.topic, ledger);
+                    if answer.is_empty() || !found.is_empty() {
+                        return Some((image.key, found));
+                    }
+                }
             }
+        }
+        while self.early.front().is_some_and(|(came, _)| came.elapsed() >= self.patience) {
+            self.give_up_oldest(ledger);
         }
         None
     }
@@ -154,11 +175,15 @@ impl Answer for Detection3DArray {
         &self.header
     }
 
+    fn is_empty(&self) -> bool {
+        self.detections.is_empty()
+    }
+
     fn found(&self, _: &Remembered, naming: &Naming, topic: &str, ledger: &mut Ledger) -> Vec<ObjectPose> {
         let (poses, errors) = object_poses(self, naming);
         errors.iter().for_each(|error| ledger.drop(topic, error.kind(), error));
         let usable = poses.into_iter().filter_map(|pose| match usable(pose, naming) {
-            Ok(pose) => Some(pose),
+            Ok(pose) => Some(mended(pose, naming, topic, ledger)),
             Err((kind, cause)) => {
                 ledger.drop(topic, kind, cause);
                 None
@@ -169,8 +194,8 @@ impl Answer for Detection3DArray {
     }
 }
 
-/// The pose with a score in 0..1 and a covariance that is one, or zero.
-fn usable(mut pose: ObjectPose, naming: &Naming) -> Result<ObjectPose, (&'static str, String)> {
+/// A pose that can be before the camera, of an object of the set.
+fn usable(pose: ObjectPose, naming: &Naming) -> Result<ObjectPose, (&'static str, String)> {
     let name = naming.class_id(pose.object_id);
     if !naming.is_known(pose.object_id) {
         return Err(("unknown object", format!("`{name}` is not in the object set")));
@@ -179,12 +204,20 @@ fn usable(mut pose: ObjectPose, naming: &Naming) -> Result<ObjectPose, (&'static
     if !(z > 0.0 && x.abs().max(y.abs()).max(z) < FARTHEST_M) {
         return Err(("pose", format!("`{name}` at ({x}, {y}, {z}) m cannot be before the camera")));
     }
-    pose.score = pose.score.clamp(0.0, 1.0);
-    let variances = pose.covariance.iter().step_by(7);
-    if !(pose.covariance.iter().all(|v| v.is_finite()) && variances.into_iter().all(|v| *v >= 0.0)) {
+    Ok(pose)
+}
+
+/// The pose with a score in 0..1 and a covariance that is one, or zero; what is given up for that is counted.
+fn mended(mut pose: ObjectPose, naming: &Naming, topic: &str, ledger: &mut Ledger) -> ObjectPose {
+    let name = || naming.class_id(pose.object_id);
+    if !(0.0..=1.0).contains(&pose.score) {
+        ledger.drop(topic, "score range", format!("the score of `{}` is {}: its pose is taken", name(), pose.score));
+    }
+    if !pose.covariance.iter().step_by(7).all(|variance| *variance >= 0.0) {
+        ledger.drop(topic, "variance", format!("a variance of `{}` is negative: its pose is taken", name()));
         pose.covariance = [0.0; 36];
     }
-    Ok(pose)
+    ObjectPose { score: pose.score.clamp(0.0, 1.0), ..pose }
 }
 
 fn surest<T>(mut found: Vec<T>, score: impl Fn(&T) -> f64, topic: &str, ledger: &mut Ledger) -> Vec<T> {
@@ -202,6 +235,10 @@ impl Answer for Detection2DArray {
 
     fn header(&self) -> &Header {
         &self.header
+    }
+
+    fn is_empty(&self) -> bool {
+        self.detections.is_empty()
     }
 
     fn found(&self, image: &Remembered, naming: &Naming, topic: &str, ledger: &mut Ledger) -> Vec<Rectangle> {
@@ -256,7 +293,7 @@ mod tests {
     }
 
     fn taken(answers: Vec<Detection2DArray>) -> (Vec<(u64, Vec<Rectangle>)>, Ledger) {
-        let (mut ledger, mut matcher) = (Ledger::default(), Matcher::new("/d".into()));
+        let (mut ledger, mut matcher) = (Ledger::default(), Matcher::new("/d".into(), 2.0));
         answers.into_iter().for_each(|answer| matcher.push(answer, &mut ledger));
         let all = std::iter::from_fn(|| matcher.take(&memory(), &naming(), &mut ledger));
         let all = all.map(|(key, found)| (key.index, found)).collect();
@@ -318,7 +355,29 @@ mod tests {
             usable(ObjectPose { object_id: 6, ..pose(1.0, 0.5, 0.0) }, &naming()).unwrap_err().0,
             "unknown object"
         );
-        let mended = usable(pose(1.0, 7.0, f64::NAN), &naming()).unwrap();
+        let mut ledger = Ledger::default();
+        let mended = mended(usable(pose(1.0, 7.0, -1.0), &naming()).unwrap(), &naming(), "/d", &mut ledger);
         assert_eq!((mended.score, mended.covariance), (1.0, [0.0; 36]));
+        assert_eq!((ledger.count("score range"), ledger.count("variance")), (1, 1));
+    }
+
+    #[test]
+    fn an_answer_of_nothing_usable_leaves_its_image_to_the_next_one() {
+        let answer = |detections| Detection2DArray { header: header(2 * SECOND), detections };
+        let teapot = || vec![detection("teapot", 50.0, 10.0, 0.5)];
+        let (found, ledger) = taken(vec![answer(teapot()), answer(vec![detection("cup", 50.0, 10.0, 0.5)])]);
+        assert_eq!(found.iter().map(|(key, found)| (*key, found.len())).collect::<Vec<_>>(), [(60, 1)]);
+        assert_eq!(ledger.count("unknown object"), 1);
+        let (found, _) = taken(vec![answer(Vec::new())]);
+        assert_eq!(found, [(60, Vec::new())], "nothing found is an answer");
+    }
+
+    #[test]
+    fn an_answer_from_the_future_is_given_up_and_counted() {
+        let (mut ledger, mut matcher) = (Ledger::default(), Matcher::new("/d".into(), 2.0));
+        matcher.patience = Duration::ZERO;
+        matcher.push(Detection2DArray { header: header(99 * SECOND), detections: Vec::new() }, &mut ledger);
+        assert!(matcher.take(&memory(), &naming(), &mut ledger).is_none() && matcher.early.is_empty());
+        assert_eq!(ledger.count("future"), 1);
     }
 }

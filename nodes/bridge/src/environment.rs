@@ -20,6 +20,12 @@ pub enum DiscoveryRange {
 }
 
 impl DiscoveryRange {
+    /// Whether nobody beyond this host is to be heard.
+    #[must_use]
+    pub fn is_this_host(self) -> bool {
+        matches!(self, Self::Off | Self::Localhost)
+    }
+
     /// The addresses whose interfaces may be used; `None` for all.
     #[must_use]
     pub fn only_networks(self) -> Option<Vec<IpAddr>> {

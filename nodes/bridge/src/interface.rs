@@ -81,7 +81,7 @@ pub fn topics() -> Vec<Topic> {
         out::<DiagnosticArray>(
             "diagnostics",
             RELIABLE,
-            "what came in and was dropped, by topic and kind, when that changes",
+            "what came in and was dropped, by topic and kind, and what nodes dropped, by node and input; when that changes",
         ),
         out::<VisionInfo>(
             "vision_info",

@@ -2,6 +2,7 @@
 //! as `diagnostics`. Nothing that comes from outside ends a run.
 
 use pseudoflow_msgs::ros::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
+use pseudoflow_runtime::{BadFrames, Refused};
 use std::collections::BTreeMap;
 
 /// Longest text of somebody else that is repeated.
@@ -16,6 +17,9 @@ pub(crate) struct Ledger {
     changed: bool,
     /// Lines of the log that /rosout has not had.
     said: Vec<String>,
+    /// What the run's summary has not had: how many, and the last line.
+    uncounted: u64,
+    last: String,
 }
 
 #[derive(Debug, Default)]
@@ -42,6 +46,8 @@ impl Ledger {
         entry.count += count;
         entry.last = shortened(&cause.to_string());
         self.changed = true;
+        self.uncounted += count;
+        self.last = format!("{source} ({kind}): {}", entry.last);
         // The highest power of two not above the count has grown.
         if before == 0 || before.ilog2() < entry.count.ilog2() {
             let line = format!("{source}: {} dropped ({kind}): {}", entry.count, entry.last);
@@ -58,6 +64,23 @@ impl Ledger {
     /// What was said since this was last asked.
     pub(crate) fn take_said(&mut self) -> Vec<String> {
         std::mem::take(&mut self.said)
+    }
+
+    /// Frames that another node of the run has dropped so far.
+    pub(crate) fn other_node(&mut self, bad: &BadFrames) {
+        let input = bad.input.map(|input| format!(", input {input}")).unwrap_or_default();
+        let from = bad.producer.as_ref().map(|producer| format!(" from {producer}")).unwrap_or_default();
+        let entry = self.entries.entry((format!("node {}{input}{from}", bad.node), "bad frame")).or_default();
+        if entry.count != bad.frames {
+            *entry = Entry { count: bad.frames, last: shortened(&bad.last) };
+            self.changed = true;
+        }
+    }
+
+    /// What was dropped since this was last asked: how many, and what the last was.
+    pub(crate) fn take_refused(&mut self) -> Option<Refused> {
+        let messages = std::mem::take(&mut self.uncounted);
+        (messages > 0).then(|| Refused { messages, last: self.last.clone() })
     }
 
     /// How many were dropped of a kind, from all sources.
@@ -109,6 +132,21 @@ mod tests {
         assert_eq!(said, [("/camera", "2"), ("/detections", "7")]);
         assert!(report.status[0].message.len() < 250);
         assert_eq!((ledger.report(&Header::default()), ledger.count("encoding")), (None, 2));
+        assert_eq!(ledger.take_refused().map(|refused| refused.messages), Some(9));
+        assert_eq!(ledger.take_refused(), None);
+    }
+
+    #[test]
+    fn bad_frames_of_other_nodes_stand_beside() {
+        let mut ledger = Ledger::default();
+        let producer = Some("pnp".to_owned());
+        let bad =
+            BadFrames { node: "recorder".into(), input: Some("poses"), producer, frames: 3, last: "x".repeat(900) };
+        (0..2).for_each(|_| ledger.other_node(&bad));
+        let report = ledger.report(&Header::default()).unwrap();
+        assert_eq!(report.status[0].name, "node recorder, input poses from pnp");
+        assert_eq!(report.status[0].values[1].value, "3");
+        assert_eq!((ledger.take_refused(), ledger.report(&Header::default())), (None, None));
     }
 
     #[test]

@@ -17,6 +17,7 @@ mod detections;
 mod environment;
 mod error;
 mod interface;
+mod interfaces;
 mod ledger;
 mod live;
 mod names;

@@ -4,7 +4,7 @@ use crate::camera::{Camera, Picture, received, stamp_of};
 use crate::detections::{Answer, Matcher, Memory, Remembered};
 use crate::ledger::Ledger;
 use crate::names::Names;
-use crate::{BridgeConfig, BridgeError, Participant, sensor_qos};
+use crate::{BridgeConfig, BridgeError, CameraConfig, Participant, sensor_qos};
 use pseudoflow_msgs::ros::{Detection2DArray, Detection3DArray, Naming, RosMessage};
 use pseudoflow_msgs::{CameraFrame, CameraFrameHeader, DetectedFrame, FrameKey, ObjectPose, ObjectPoses};
 use pseudoflow_runtime::{Context, NodeError, Outputs, Produced};
@@ -54,12 +54,12 @@ impl<M: RosMessage + Answer> Detector<M> {
         names: &Names,
         field: &'static str,
         topic: Option<&String>,
-        depth: u32,
+        camera: &CameraConfig,
     ) -> Result<Option<Self>, BridgeError> {
         let Some(topic) = topic else { return Ok(None) };
         let topic = names.resolve(field, topic)?;
-        let subscription = participant.subscribe(names, &topic, sensor_qos(depth))?;
-        let matcher = Matcher::new(topic.to_string());
+        let subscription = participant.subscribe(names, &topic, sensor_qos(camera.queue_depth))?;
+        let matcher = Matcher::new(topic.to_string(), camera.memory_s);
         Ok(Some(Self { topic, subscription, matcher }))
     }
 
@@ -82,12 +82,11 @@ impl LiveCamera {
         context: &Context,
     ) -> Result<Option<Self>, BridgeError> {
         let Some(camera) = &config.camera else { return Ok(None) };
-        let depth = camera.queue_depth;
         let (poses, rectangles) = (camera.detections.as_ref(), camera.rectangles.as_ref());
         Ok(Some(Self {
             camera: Camera::open(participant, names, camera)?,
-            detections: Detector::open(participant, names, "camera.detections", poses, depth)?,
-            rectangles: Detector::open(participant, names, "camera.rectangles", rectangles, depth)?,
+            detections: Detector::open(participant, names, "camera.detections", poses, camera)?,
+            rectangles: Detector::open(participant, names, "camera.rectangles", rectangles, camera)?,
             memory: Memory::new(camera.memory_s),
             waiting: VecDeque::new(),
             // Frames of a later life are newer than all of an earlier one.

@@ -5,7 +5,9 @@ use crate::publish::PosePublisher;
 use crate::{BridgeConfig, BridgeError, DdsEnvironment, Participant};
 use pseudoflow_msgs::{CameraFrame, DetectedFrame, ObjectPoses, ObjectStatuses};
 use pseudoflow_runtime::supervisor::{Severity, Warnings};
-use pseudoflow_runtime::{Context, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Role, read};
+use pseudoflow_runtime::{
+    BadFrames, Context, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Refused, Role, read,
+};
 use std::time::{Duration, Instant};
 
 /// How long the participant stays after the last message, for subscribers that ask for a repeat.
@@ -55,12 +57,12 @@ impl Node for Bridge {
     }
 
     fn create(config: BridgeConfig, context: &Context) -> Result<Self, NodeError> {
-        config.check()?;
+        let catalogue = config.checked()?;
         let environment = DdsEnvironment::of_process()?;
         environment.check_middleware(config.allow_rmw_mismatch)?;
         let names = Names::new(&config);
         let mut participant = Participant::open(environment, &config.namespace, &config.node_name)?;
-        let publisher = PosePublisher::new(&mut participant, &names, &config)?;
+        let publisher = PosePublisher::new(&mut participant, &names, &config, catalogue)?;
         let camera = LiveCamera::open(&mut participant, &names, &config, context)?;
         let (mut ledger, reported) = (Ledger::default(), Instant::now());
         names.unused().into_iter().for_each(|line| ledger.say(line));
@@ -105,6 +107,16 @@ impl Node for Bridge {
         let produced = camera.poll(&mut ears, outputs)?;
         self.report()?;
         Ok(produced)
+    }
+
+    fn take_refused(&mut self) -> Option<Refused> {
+        self.ledger.take_refused()
+    }
+
+    /// On `diagnostics` they stand beside what did not even get in.
+    fn hear_of_bad(&mut self, bad: &[BadFrames], context: &Context) -> Result<(), NodeError> {
+        bad.iter().filter(|of| of.node != context.name).for_each(|of| self.ledger.other_node(of));
+        Ok(self.report()?)
     }
 
     fn finish(&mut self, _: &Context) -> Result<(), NodeError> {

@@ -1,4 +1,5 @@
 use crate::camera::Offer;
+use crate::interfaces;
 use crate::names::Names;
 use crate::{BridgeError, DdsEnvironment, DiscoveryRange};
 use pseudoflow_msgs::ros::RosMessage;
@@ -36,9 +37,16 @@ impl Participant {
             builder = builder.with_only_networks(networks);
         }
         let participant = builder.build().map_err(|error| create("the participant", &error))?;
+        // At once, and again when all threads have opened theirs.
+        if environment.range.is_this_host() {
+            keep_to_loopback();
+        }
         let context = Context::from_domain_participant(participant).map_err(|error| create("the context", &error))?;
         let options = NodeOptions::new().enable_rosout(true).start_parameter_services(false);
         let node = context.new_node(name, options).map_err(|error| create("the node", &error))?;
+        if environment.range.is_this_host() {
+            keep_to_loopback();
+        }
         log::info!("DDS domain {}, discovery range {:?}, node {full_name}", environment.domain_id, environment.range);
         Ok(Self { node, context, requested: BTreeMap::new() })
     }
@@ -130,6 +138,16 @@ impl Participant {
     }
 }
 
+fn keep_to_loopback() {
+    match interfaces::keep_to_loopback() {
+        Ok(sockets) => log::debug!("{sockets} UDP sockets hear loopback alone"),
+        Err(error) => log::warn!(
+            "the sockets of DDS cannot be bound to loopback ({error}; Linux 5.7 or later can): other hosts may send to them. \
+             Close their ports, see docs/security.md"
+        ),
+    }
+}
+
 fn type_name<M: RosMessage>() -> MessageTypeName {
     MessageTypeName::new(M::PACKAGE, M::NAME)
 }
@@ -157,5 +175,17 @@ mod tests {
         assert_eq!(node_name("/left/", "pseudoflow").unwrap().fully_qualified_name(), "/left/pseudoflow");
         assert_eq!(node_name("/", "pseudoflow").unwrap().fully_qualified_name(), "/pseudoflow");
         assert!(node_name("/", "pseudo flow").is_err());
+    }
+
+    /// As `ss` shows it: each UDP socket of this process is bound to the loopback interface.
+    #[test]
+    fn a_participant_of_this_host_hears_nobody_else() {
+        let environment = DdsEnvironment { domain_id: 77, range: DiscoveryRange::Localhost, middleware: None };
+        let _participant = Participant::open(environment, "/", "alone").unwrap();
+        // Domain 77 has 250 ports from 7400 + 250 * 77; other tests' sockets live beside.
+        let mut ports = interfaces::ports();
+        ports.retain(|(port, _)| (26_650..26_900).contains(port));
+        assert!(ports.len() >= 3, "discovery and user traffic: {ports:?}");
+        assert!(ports.iter().all(|(_, device)| device.as_deref() == Some(b"lo")), "{ports:?}");
     }
 }

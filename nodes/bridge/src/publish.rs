@@ -64,9 +64,9 @@ impl PosePublisher {
         participant: &mut Participant,
         names: &Names,
         config: &BridgeConfig,
+        catalogue: Catalogue,
     ) -> Result<Self, BridgeError> {
         let qos = publisher_qos(config.queue_depth);
-        let catalogue = config.catalogue()?;
         let wanted = config.object.as_deref().map(|name| catalogue.naming.wanted(name)).transpose()?;
         let tf = config.tf.enabled.then(|| participant.advertise(names, "/tf", qos.clone())).transpose()?;
         let ids: Vec<u32> = catalogue.naming.named().map(|(id, _)| id).collect();

@@ -140,7 +140,7 @@ impl Comparison {
     pub fn write_json(&self, path: &Path) -> Result<(), EvalError> {
         let text = serde_json::to_string_pretty(self);
         let text = text.map_err(|source| EvalError::Json { path: path.to_owned(), source })?;
-        std::fs::write(path, text + "\n").map_err(EvalError::io(path))
+        pseudoflow_runtime::files::write(path, (text + "\n").as_bytes()).map_err(EvalError::io(path))
     }
 
     /// Writes the comparison as one self-contained page.
@@ -165,7 +165,7 @@ impl Comparison {
         write_row(&mut html, "all", &self.overall, " class=\"overall\"");
         html += "</table>";
         let title = format!("{} against {}", self.b, self.a);
-        std::fs::write(path, page(&title, &html)).map_err(EvalError::io(path))
+        pseudoflow_runtime::files::write(path, page(&title, &html).as_bytes()).map_err(EvalError::io(path))
     }
 }
 

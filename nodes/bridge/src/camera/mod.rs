@@ -8,10 +8,10 @@ pub(crate) use config::{CameraOrTopic, camera_or_topic};
 
 use crate::ledger::Ledger;
 use crate::names::Names;
-use crate::sync::{Complete, StampSync};
+use crate::sync::{Joined, PATIENCE, StampSync};
 use crate::{BridgeError, Participant, sensor_qos};
-use pseudoflow_edge::camera::{LensCache, read_calibration};
-use pseudoflow_edge::pixels::{write_rgb, write_rgb_of_file};
+use pseudoflow_edge::camera::{Lens, LensCache, read_calibration};
+use pseudoflow_edge::pixels::{check_rgb, write_rgb, write_rgb_of_file};
 use pseudoflow_msgs::CameraFrameHeader;
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Header, Image, RosMessage};
 use ros2_client::qos::Reliability;
@@ -66,6 +66,8 @@ pub(crate) struct Camera {
     lens: LensCache,
     scratch: Vec<u8>,
     watch: Watch,
+    /// Why the last calibration did not fit an image of its stamp.
+    misfit: String,
     /// Images and calibrations that came since an image went on.
     came: (u64, u64),
 }
@@ -104,6 +106,7 @@ impl Camera {
             lens: LensCache::default(),
             scratch: Vec::new(),
             watch: Watch::new(Instant::now()),
+            misfit: String::new(),
             came: (0, 0),
             config: config.clone(),
         };
@@ -171,12 +174,11 @@ impl Camera {
         let now = Instant::now();
         self.decide(participant, names, now)?;
         self.receive(ledger);
-        while let Some(set) = self.sync.take() {
-            if let Some(picture) = self.picture(set, rgb, ledger) {
-                self.watch.image(now);
-                self.came = (0, 0);
-                return Ok(Some(picture));
-            }
+        self.sync.expire(now);
+        if let Some(picture) = self.take(rgb, ledger) {
+            self.watch.image(now);
+            self.came = (0, 0);
+            return Ok(Some(picture));
         }
         if self.watch.is_due(now) {
             ledger.say(format!("no image: {}", why(&self.states(participant), self.sync.waiting())));
@@ -189,11 +191,7 @@ impl Camera {
         let infos = self.infos.as_ref().map_or_else(Vec::new, |infos| received(infos, &info_topic, ledger));
         for info in infos {
             self.came.1 += 1;
-            match stamp_of(&info.header) {
-                Ok(stamp_ns) if self.config.info == InfoMode::Exact => self.sync.push_info(stamp_ns, info),
-                Ok(_) => self.latest = Some(info),
-                Err(cause) => ledger.drop(&info_topic, "stamp", cause),
-            }
+            self.push_info(info, &info_topic, ledger);
         }
         let topic = self.topic().to_string();
         let images: Vec<Incoming> = match &self.images {
@@ -203,13 +201,32 @@ impl Camera {
         };
         for image in images {
             self.came.0 += 1;
-            match stamp_of(image.header()) {
+            match image.check() {
                 Ok(stamp_ns) => self.push_image(stamp_ns, image, &topic, ledger),
-                Err(cause) => ledger.drop(&topic, "stamp", cause),
+                Err((kind, cause)) => ledger.drop(&topic, kind, cause),
             }
         }
-        let dropped = self.sync.take_dropped();
-        ledger.drop_many(&topic, "unpaired", dropped, format!("nothing of the same stamp on {info_topic} in time"));
+        let alone =
+            |other: &str| format!("nothing of the same stamp on {other} within {PATIENCE:?}, or newer ones went on");
+        let [images, infos] = self.sync.take_dropped();
+        for (topic, other, dropped) in [(&topic, &info_topic, images), (&info_topic, &topic, infos)] {
+            ledger.drop_many(topic, "unpaired", dropped.alone, alone(other));
+            ledger.drop_many(topic, "calibration", dropped.misfits, &self.misfit);
+        }
+    }
+
+    fn push_info(&mut self, info: CameraInfo, topic: &str, ledger: &mut Ledger) {
+        let stamp_ns = match stamp_of(&info.header) {
+            Ok(stamp_ns) => stamp_ns,
+            Err(cause) => return ledger.drop(topic, "stamp", cause),
+        };
+        if let Err(cause) = Lens::check(&info, self.config.rectified) {
+            return ledger.drop(topic, "calibration", cause);
+        }
+        match self.config.info {
+            InfoMode::Exact => self.sync.push_info(stamp_ns, info),
+            InfoMode::Latest => self.latest = Some(info),
+        }
     }
 
     fn push_image(&mut self, stamp_ns: i64, image: Incoming, topic: &str, ledger: &mut Ledger) {
@@ -224,40 +241,34 @@ impl Camera {
         }
     }
 
-    fn picture(
-        &mut self,
-        set: Complete<Incoming, CameraInfo>,
-        rgb: &mut Vec<u8>,
-        ledger: &mut Ledger,
-    ) -> Option<Picture> {
+    /// The oldest image that can be used with a calibration that can be used.
+    fn take(&mut self, rgb: &mut Vec<u8>, ledger: &mut Ledger) -> Option<Picture> {
         let topic = self.topic().to_string();
-        let header = set.image.header();
-        let frame_name = header.frame_id.clone();
-        let Some(frame_id) = CameraFrameHeader::frame_id_bytes(&frame_name) else {
-            ledger.drop(
-                &topic,
-                "frame_id",
-                format!("`{frame_name}` is longer than 63 bytes: shorten it in the driver"),
-            );
-            return None;
-        };
-        let size = match set.image.decode(rgb) {
-            Ok(size) => size,
-            Err(cause) => {
-                ledger.drop(&topic, "image", cause);
-                return None;
+        let Self { sync, lens, scratch, misfit, config, .. } = self;
+        sync.take(|stamp_ns, image, info| {
+            let size = match image.decode(rgb) {
+                Ok(size) => size,
+                Err(cause) => {
+                    ledger.drop(&topic, "image", cause);
+                    return Joined::BadImage;
+                }
+            };
+            match lens.lens(info, size, config.rectified) {
+                Ok(lens) => {
+                    lens.rectify(rgb, scratch);
+                    let frame_name = image.header().frame_id.clone();
+                    // One that does not fit has been refused when it came.
+                    let Some(frame_id) = CameraFrameHeader::frame_id_bytes(&frame_name) else {
+                        return Joined::BadImage;
+                    };
+                    Joined::Whole(Picture { stamp_ns, frame_id, frame_name, size, intrinsics: lens.intrinsics() })
+                }
+                Err(cause) => {
+                    *misfit = cause.to_string();
+                    Joined::Apart
+                }
             }
-        };
-        match self.lens.lens(&set.info, size, self.config.rectified) {
-            Ok(lens) => {
-                lens.rectify(rgb, &mut self.scratch);
-                Some(Picture { stamp_ns: set.stamp_ns, frame_id, frame_name, size, intrinsics: lens.intrinsics() })
-            }
-            Err(cause) => {
-                ledger.drop(&self.info.to_string(), "calibration", cause);
-                None
-            }
-        }
+        })
     }
 
     /// What is known of the camera's topics, for the log.
@@ -289,6 +300,20 @@ impl Incoming {
             Self::Raw(image) => &image.header,
             Self::File(image) => &image.header,
         }
+    }
+
+    /// The stamp; what can be seen to be wrong without looking at the pixels otherwise, in a word and in whole.
+    fn check(&self) -> Result<i64, (&'static str, String)> {
+        let stamp_ns = stamp_of(self.header()).map_err(|cause| ("stamp", cause))?;
+        let name = &self.header().frame_id;
+        if CameraFrameHeader::frame_id_bytes(name).is_none() {
+            return Err(("frame_id", format!("`{name}` is longer than 63 bytes: shorten it in the driver")));
+        }
+        match self {
+            Self::Raw(image) => check_rgb(image).map_err(|cause| ("image", cause.to_string()))?,
+            Self::File(_) => {}
+        }
+        Ok(stamp_ns)
     }
 
     fn decode(&self, rgb: &mut Vec<u8>) -> Result<(u32, u32), pseudoflow_edge::pixels::PixelError> {

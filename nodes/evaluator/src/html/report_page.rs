@@ -20,7 +20,7 @@ impl Report {
             self.pictures(pictures)
         );
         let text = page(&format!("Pose errors on {}", self.title()), &body);
-        std::fs::write(path, text).map_err(EvalError::io(path))
+        pseudoflow_runtime::files::write(path, text.as_bytes()).map_err(EvalError::io(path))
     }
 
     pub(super) fn colour(&self, set: &str) -> String {

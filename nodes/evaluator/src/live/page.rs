@@ -29,7 +29,8 @@ impl LiveReport {
     pub fn write_html(&self, path: &Path) -> Result<(), EvalError> {
         let body = format!("{}<pre>{}</pre>", self.timelines(), escape(&self.to_string()));
         let text = page(&format!("{} in {}", self.source, self.graph), &body);
-        std::fs::write(path, text).map_err(|source| EvalError::Io { path: path.to_owned(), source })
+        pseudoflow_runtime::files::write(path, text.as_bytes())
+            .map_err(|source| EvalError::Io { path: path.to_owned(), source })
     }
 
     fn timelines(&self) -> String {

@@ -10,7 +10,7 @@ use std::fs::OpenOptions;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-const MAGIC: u64 = 0x7066_626f_6172_6404;
+const MAGIC: u64 = 0x7066_626f_6172_6405;
 const HEADER_WORDS: usize = 16;
 const NODE_WORDS: usize = 704;
 /// Frames, and ns of work in them, by their number of objects.
@@ -18,6 +18,8 @@ const OBJECT_FRAMES: usize = 16;
 const OBJECT_NS: usize = OBJECT_FRAMES + OBJECTS;
 const WORK: usize = OBJECT_NS + OBJECTS;
 const AGE: usize = WORK + BUCKETS;
+/// Frames dropped by the input that they could not be used for.
+const BAD_FROM: usize = AGE + BUCKETS;
 /// Why the last bad frame was dropped: UTF-8, zero behind it.
 const CAUSE: usize = NODE_WORDS - CAUSE_WORDS;
 const CAUSE_WORDS: usize = 64;
@@ -194,8 +196,8 @@ impl Board {
         histogram::record(&slot[AGE..AGE + BUCKETS], end_ns.saturating_sub(origin_ns));
     }
 
-    /// Counts a frame that could not be used.
-    pub(crate) fn count_bad(&self, node: usize, cause: &str) {
+    /// Counts frames that could not be used, and by which of the node's inputs they came; a source takes them from outside.
+    pub(crate) fn count_bad(&self, node: usize, input: Option<usize>, frames: u64, cause: &str) {
         // Word by word: who reads at this moment sees two causes in one, which is for people only.
         let mut bytes = [0; 8 * CAUSE_WORDS];
         let len = cause.len().min(bytes.len());
@@ -203,7 +205,19 @@ impl Board {
         for (word, chunk) in self.slot(node)[CAUSE..].iter().zip(bytes.as_chunks::<8>().0) {
             word.store(u64::from_le_bytes(*chunk), Ordering::Relaxed);
         }
-        self.add(node, Word::Bad, 1);
+        self.add(node, Word::Bad, frames);
+        if let Some(from) = input.and_then(|input| self.bad_words(node).get(input)) {
+            from.fetch_add(frames, Ordering::AcqRel);
+        }
+    }
+
+    fn bad_words(&self, node: usize) -> &[AtomicU64] {
+        &self.slot(node)[BAD_FROM..CAUSE]
+    }
+
+    /// Frames that could not be used for an input of a node.
+    pub(crate) fn bad_from(&self, node: usize, input: usize) -> u64 {
+        self.bad_words(node).get(input).map_or(0, |from| from.load(Ordering::Acquire))
     }
 
     /// Why the last bad frame of a node was dropped.
@@ -264,11 +278,12 @@ mod tests {
         other.count_objects(2, 3, 2_000_000);
         other.count_objects(2, 3, 4_000_000);
         other.count_objects(2, 1000, 5_000_000);
-        other.count_bad(1, &"x".repeat(1000));
-        other.count_bad(1, "input `frame`: 0 x 0 pixels");
-        other.count_bad(2, &"é".repeat(1000));
+        other.count_bad(1, Some(3), 1, &"x".repeat(1000));
+        other.count_bad(1, None, 4, "input `frame`: 0 x 0 pixels");
+        other.count_bad(2, Some(1000), 1, &"é".repeat(1000));
         drop(other);
-        assert_eq!((board.get(1, Word::Bad), board.last_bad(0)), (2, None));
+        assert_eq!((board.get(1, Word::Bad), board.last_bad(0)), (5, None));
+        assert_eq!([0, 3, 1000].map(|input| board.bad_from(1, input)), [0, 1, 0]);
         assert_eq!(board.last_bad(1).as_deref(), Some("input `frame`: 0 x 0 pixels"));
         assert_eq!(board.last_bad(2), Some("é".repeat(256)));
         assert_eq!((board.objects(2, 3), board.objects(2, OBJECTS - 1)), (Some((2, 3.0)), Some((1, 5.0))));

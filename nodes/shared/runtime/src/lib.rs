@@ -18,7 +18,7 @@ mod runner;
 pub mod supervisor;
 pub mod yaml;
 
-pub use bad::{BadInput, OrBadInput, bad_input};
+pub use bad::{BadFrames, BadInput, OrBadInput, Refused, bad_input};
 pub use context::Context;
 pub use graph::{Graph, GraphError, Mode, NodeSpec, Problem};
 pub use ipc::IpcError;

@@ -1,4 +1,4 @@
-use crate::{Context, OrBadInput};
+use crate::{BadFrames, Context, OrBadInput, Refused};
 use pseudoflow_msgs::{AlignedBytes, FrameKey, Message};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
@@ -170,6 +170,22 @@ pub trait Node: Sized {
     fn poll(&mut self, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
         let _ = (outputs, context);
         Ok(Produced::Nothing)
+    }
+
+    /// Live sources: what was refused from outside since this was last asked, for the run's table and summary. Asked for after
+    /// each [`Node::poll`].
+    fn take_refused(&mut self) -> Option<Refused> {
+        None
+    }
+
+    /// Live graphs: what all nodes of the run have dropped so far, by input, whenever that has changed (once a second at most):
+    /// for a node that tells the world outside.
+    ///
+    /// # Errors
+    /// What keeps the node from working.
+    fn hear_of_bad(&mut self, bad: &[BadFrames], context: &Context) -> Result<(), NodeError> {
+        let _ = (bad, context);
+        Ok(())
     }
 
     /// Called once when the run ends in order: flush and close files here.

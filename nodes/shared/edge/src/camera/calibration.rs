@@ -146,7 +146,8 @@ fn check_size(info: &CameraInfo, image: (u32, u32)) -> Result<(), CalibrationErr
         return Err(CalibrationError::Region { roi: [roi.x_offset, roi.y_offset, roi.width, roi.height], size });
     }
     let expected = image_size_px(info);
-    if expected != (0, 0) && expected != image {
+    let unstated = size == (0, 0) && (roi.width, roi.height) == (0, 0);
+    if !unstated && expected != image {
         return Err(CalibrationError::Resized { image, info: expected });
     }
     Ok(())

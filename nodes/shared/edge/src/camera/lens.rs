@@ -72,8 +72,15 @@ impl LensCache {
         let info = CameraInfo { header: Default::default(), ..info.clone() };
         let made = match self.made.take() {
             Some(made) if (&made.0, made.1, made.2) == (&info, size, rectified) => made,
-            _ => {
-                let lens = Lens::new(&info, size, rectified)?;
+            // A calibration that cannot be used does not cost the one that can.
+            old => {
+                let lens = match Lens::new(&info, size, rectified) {
+                    Ok(lens) => lens,
+                    Err(error) => {
+                        self.made = old;
+                        return Err(error);
+                    }
+                };
                 if lens.is_distorted() {
                     log::info!("images are rectified: {} {:?}", info.distortion_model, info.d);
                 }
@@ -100,5 +107,6 @@ mod tests {
         info.header.stamp.sec = 5;
         assert_eq!(cache.lens(&info, (64, 48), false).unwrap() as *const Lens, first);
         assert!(cache.lens(&info, (48, 64), false).is_err());
+        assert_eq!(cache.lens(&info, (64, 48), false).unwrap() as *const Lens, first);
     }
 }

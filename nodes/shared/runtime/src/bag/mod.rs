@@ -8,7 +8,9 @@
 
 mod error;
 mod file;
+mod info;
 mod lengths;
+mod listing;
 mod metadata;
 mod partial;
 mod reader;
@@ -21,9 +23,10 @@ mod tests;
 
 pub use error::BagError;
 pub use file::Packing;
+pub use info::{BagInfo, TopicInfo};
 pub use metadata::Qos;
 pub use partial::Partial;
-pub use reader::{BagInfo, BagReader, RawMessage, TopicInfo, TopicNumber, Visited};
+pub use reader::{BagReader, RawMessage, TopicNumber, Visited};
 pub use recover::{RecoverOptions, Recovered, recover};
 pub use writer::{BagWriter, Resumed, TopicId};
 

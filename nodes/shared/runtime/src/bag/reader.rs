@@ -1,7 +1,7 @@
+use super::info::{BagInfo, TopicInfo};
 use super::lengths;
-use super::metadata::{self, METADATA_FILE};
+use super::listing::files_of;
 use super::scan::{ChunkRecords, Damage, FileContent, MAX_RECORD_BYTES, Met, Place, decode_chunk, describe, scan};
-use super::writer::split_number;
 use super::{BagError, scan::SchemaRecord};
 use crate::NodeError;
 use mcap::records::{MessageHeader, Record, op};
@@ -13,19 +13,6 @@ use std::path::{Path, PathBuf};
 
 /// Unpacked chunks that are kept: an image and its camera info may lie in different ones.
 const CACHED_CHUNKS: usize = 4;
-
-/// A topic of a bag.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct TopicInfo {
-    /// Its name.
-    pub name: String,
-    /// Its message type, as in `sensor_msgs/msg/Image`.
-    pub type_name: String,
-    /// How its messages are encoded.
-    pub encoding: String,
-    /// How many messages it has.
-    pub count: usize,
-}
 
 /// A topic's place in [`BagReader::topics`].
 pub type TopicNumber = usize;
@@ -50,40 +37,6 @@ pub struct Visited<'a> {
     pub number: usize,
     /// The message.
     pub message: RawMessage<'a>,
-}
-
-/// A bag in numbers.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct BagInfo {
-    /// The bag.
-    pub path: PathBuf,
-    /// Its files and their bytes.
-    pub files: Vec<(PathBuf, u64)>,
-    /// Its topics.
-    pub topics: Vec<TopicInfo>,
-    /// Earliest and latest log time, ns; `None` without messages.
-    pub span_ns: Option<(u64, u64)>,
-    /// Whether every chunk has a checksum (all of them hold: the bag was opened).
-    pub checksums: bool,
-    /// What we, or rosbag2, kept beside the messages.
-    pub custom: BTreeMap<String, String>,
-}
-
-impl std::fmt::Display for BagInfo {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let messages: usize = self.topics.iter().map(|topic| topic.count).sum();
-        let seconds = self.span_ns.map_or(0.0, |(first, last)| (last - first) as f64 * 1e-9);
-        writeln!(f, "{}: {messages} messages in {seconds:.3} s", self.path.display())?;
-        for (path, bytes) in &self.files {
-            writeln!(f, "  {}  {bytes} bytes", path.display())?;
-        }
-        let checksums = if self.checksums { "all hold" } else { "some chunks have none: damage there stays unseen" };
-        writeln!(f, "  checksums: {checksums}")?;
-        for topic in &self.topics {
-            writeln!(f, "  {:6}  {}  {}", topic.count, topic.name, topic.type_name)?;
-        }
-        self.custom.iter().try_for_each(|(key, value)| writeln!(f, "  {key}: {value}"))
-    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -369,45 +322,4 @@ impl BagReader {
         }
         Ok(Cached { file: entry.file, record_at: entry.place.record_at, messages, bytes: chunk.bytes })
     }
-}
-
-/// The files of a bag in their order: those that `metadata.yaml` lists, else all by their number.
-fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
-    if !path.is_dir() {
-        return Ok(vec![path.to_owned()]);
-    }
-    let metadata_path = path.join(METADATA_FILE);
-    if !metadata_path.is_file() {
-        return mcap_files(path);
-    }
-    let information = metadata::read(&metadata_path)?;
-    let listed: Vec<PathBuf> = information
-        .relative_file_paths
-        .iter()
-        .filter_map(|file| Some(path.join(Path::new(file).file_name()?)))
-        .collect();
-    match listed.iter().find(|file| !file.is_file()) {
-        Some(missing) => Err(BagError::Metadata {
-            path: metadata_path,
-            cause: format!("field `relative_file_paths` names {}, which does not exist", missing.display()),
-        }),
-        None if listed.is_empty() => Err(BagError::NoFiles { path: path.to_owned() }),
-        None => Ok(listed),
-    }
-}
-
-/// The .mcap files of a directory by their split number.
-pub(super) fn mcap_files(directory: &Path) -> Result<Vec<PathBuf>, BagError> {
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(directory).map_err(BagError::io(directory))? {
-        let path = entry.map_err(BagError::io(directory))?.path();
-        if path.extension().is_some_and(|extension| extension == "mcap") {
-            files.push(path);
-        }
-    }
-    if files.is_empty() {
-        return Err(BagError::NoFiles { path: directory.to_owned() });
-    }
-    files.sort_by_key(|path| (split_number(path), path.clone()));
-    Ok(files)
 }

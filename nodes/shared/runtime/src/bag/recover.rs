@@ -1,6 +1,6 @@
 use super::file::{FileWriter, Packing, TopicRecord};
+use super::listing::mcap_files;
 use super::metadata::{self, FileSpan};
-use super::reader::mcap_files;
 use super::scan::{Damage, FileContent, scan};
 use super::writer::sync_directory;
 use super::{BagError, Partial, bag_name};

@@ -1,6 +1,6 @@
 use super::file::{FileWriter, Packing, TopicRecord};
+use super::listing::mcap_files;
 use super::metadata::{self, FileSpan, Qos};
-use super::reader::mcap_files;
 use super::recover::{Salvaged, salvage};
 use super::scan::{Damage, FileContent, SchemaRecord, scan};
 use super::{BagError, bag_name};

@@ -1,6 +1,7 @@
 use super::{Launch, RunError};
+use crate::bad::bad_frames;
 use crate::clock::monotonic_ns;
-use crate::{BadInput, NodeError};
+use crate::{BadFrames, BadInput, NodeError};
 
 /// Between two log lines about bad frames: a hostile participant must not fill the log.
 const PAUSE_NS: u64 = 1_000_000_000;
@@ -10,6 +11,9 @@ const PAUSE_NS: u64 = 1_000_000_000;
 pub(super) struct Complaints {
     told_ns: Option<u64>,
     untold: u64,
+    /// What the node knows of the run's bad frames, and when that was looked at.
+    known: Vec<BadFrames>,
+    looked_ns: u64,
 }
 
 impl Complaints {
@@ -20,9 +24,23 @@ impl Complaints {
         let from = launch.producer_of(bad.port).map(|name| format!(" from `{name}`")).unwrap_or_default();
         let cause = crate::error::chain(&*bad.cause);
         let text = format!("{place} dropped: input `{}`{from}: {cause}", bad.port);
-        launch.board.count_bad(launch.me, &text);
+        let input = launch.node().inputs.iter().position(|input| input.port == bad.port);
+        launch.board.count_bad(launch.me, input, 1, &text);
         self.tell(&text);
         Ok(())
+    }
+
+    /// What all nodes of a live run have dropped, when that has changed since this was last asked: once a second at most.
+    pub(super) fn news(&mut self, launch: &Launch) -> Option<&[BadFrames]> {
+        let now_ns = monotonic_ns();
+        if launch.plan.replay() || now_ns.saturating_sub(self.looked_ns) < PAUSE_NS {
+            return None;
+        }
+        self.looked_ns = now_ns;
+        let bad = bad_frames(&launch.plan, &launch.board);
+        let changed = bad != self.known;
+        self.known = bad;
+        changed.then_some(&self.known)
     }
 
     fn tell(&mut self, text: &str) {

@@ -38,6 +38,7 @@ impl<N: Node> Runner<'_, N> {
                 return Ok(Ending::InOrder);
             }
             self.watch(&mut traffic);
+            self.pass_bad_on()?;
             if !self.launch.plan.nodes[self.launch.me].inputs.is_empty() {
                 self.take_frames(&mut next)?;
             }
@@ -79,6 +80,9 @@ impl<N: Node> Runner<'_, N> {
             true => self.node.produce(traffic.next, &mut self.outputs, &self.context),
             false => self.node.poll(&mut self.outputs, &self.context),
         };
+        if let Some(refused) = self.node.take_refused() {
+            launch.board.count_bad(launch.me, None, refused.messages, &refused.last);
+        }
         let produced = match produced {
             Ok(produced) => produced,
             Err(error) => {

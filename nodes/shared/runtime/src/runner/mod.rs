@@ -302,11 +302,19 @@ impl<N: Node> Runner<'_, N> {
         self.counted_cpu_ns = now_ns;
     }
 
+    /// Tells the node what the run has dropped, where that has changed.
+    fn pass_bad_on(&mut self) -> Result<(), RunError> {
+        let Some(bad) = self.complaints.news(self.launch) else { return Ok(()) };
+        let heard = self.node.hear_of_bad(bad, &self.context);
+        heard.map_err(|error| self.launch.node_error("account of bad frames", &error))
+    }
+
     /// `true` when the process is asked to end.
     fn sleep(&mut self, at_most: std::time::Duration) -> Result<bool, RunError> {
         self.launch.beat(None);
         self.count_cpu(Word::CpuNs);
         self.outputs.update();
+        self.pass_bad_on()?;
         self.links.sleep(at_most).map_err(|e| self.launch.ipc_error(e))
     }
 }

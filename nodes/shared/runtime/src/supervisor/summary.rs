@@ -1,4 +1,6 @@
 use super::SupervisorError;
+use crate::BadFrames;
+use crate::bad::bad_frames_of;
 use crate::board::{Board, OBJECTS, Word};
 use crate::plan::{Plan, PlannedNode};
 use serde::Serialize;
@@ -65,8 +67,10 @@ pub struct NodeSummary {
     pub repeats: u64,
     /// How often it was started again.
     pub restarts: u64,
-    /// Frames dropped because they could not be used (live only), and why the last one was.
+    /// Frames, and of a source messages from outside, that were dropped because they could not be used (live only).
     pub bad: u64,
+    /// The same by where they came from.
+    pub bad_from: Vec<BadFrames>,
     /// Why the last of them was dropped.
     pub last_bad: Option<String>,
 }
@@ -88,7 +92,9 @@ impl Summary {
         let times = |word| (0..plan.nodes.len()).map(move |node| board.get(node, word)).filter(|ns| *ns > 0);
         let first_ns = times(Word::FirstNs).min().unwrap_or(0);
         let span_ns = times(Word::LastNs).max().unwrap_or(0).saturating_sub(first_ns);
-        let of = |(i, node): (usize, &PlannedNode)| NodeSummary::of(&node.name, board, i, span_ns);
+        let of = |(i, node): (usize, &PlannedNode)| {
+            NodeSummary::of(&node.name, board, i, span_ns, bad_frames_of(plan, board, i))
+        };
         let nodes = nodes.map(of).collect();
         let (killed, incidents) = (Vec::new(), Vec::new());
         Self { nodes, startup_s: None, asked_to_stop: false, killed, incidents, failure: None }
@@ -108,7 +114,7 @@ impl Summary {
 }
 
 impl NodeSummary {
-    fn of(name: &str, board: &Board, node: usize, span_ns: u64) -> Self {
+    fn of(name: &str, board: &Board, node: usize, span_ns: u64, bad_from: Vec<BadFrames>) -> Self {
         let frames = board.get(node, Word::Frames);
         let seconds = board.get(node, Word::LastNs).saturating_sub(board.get(node, Word::FirstNs)) as f64 * 1e-9;
         let both = |read: &dyn Fn(f64) -> Option<f64>| Some([read(0.5)?, read(0.99)?]);
@@ -125,6 +131,7 @@ impl NodeSummary {
             repeats: board.get(node, Word::Repeats),
             restarts: board.get(node, Word::Restarts),
             bad: board.get(node, Word::Bad),
+            bad_from,
             last_bad: board.last_bad(node),
         }
     }

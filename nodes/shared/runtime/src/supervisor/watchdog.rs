@@ -5,9 +5,9 @@ use crate::clock::monotonic_ns;
 use std::time::Duration;
 
 /// Between two looks at a process.
-const PERIOD_NS: u64 = 200_000_000;
+const PERIOD_NS: u64 = 100_000_000;
 /// How long a process may be stopped (SIGSTOP): who debugs a node traces it, which is another state.
-const STOPPED_NS: u64 = 800_000_000;
+const STOPPED_NS: u64 = 500_000_000;
 /// A longer pause of the supervisor itself (a machine that slept, a container that was paused) judges nobody.
 const OWN_PAUSE_NS: u64 = 5_000_000_000;
 

@@ -22,6 +22,7 @@ pub(crate) fn tests() -> Vec<Trial> {
         test("live::bad_frames_are_dropped_counted_and_named", bad_frames_are_dropped),
         test("live::a_graph_of_bad_frames_goes_on", only_bad_frames),
         test("live::a_source_may_meet_bad_messages", bad_messages),
+        test("live::the_source_hears_what_all_have_dropped_and_from_whom", source_hears_of_bad),
         test("live::an_error_is_a_death", an_error_is_a_death),
         test("live::an_error_in_the_first_start_ends_the_run", an_error_in_the_start),
         test("live::what_always_fails_is_given_up_with_its_cause", what_always_fails),
@@ -108,6 +109,20 @@ fn bad_messages() {
     let summary = scene.run();
     assert_eq!(node(&summary, "camera").bad, 150, "{summary}");
     assert!(indices(&scene).iter().all(|index| index % 2 == 1) && indices(&scene).contains(&299), "{summary}");
+}
+
+/// For a source that tells the world: the account goes to it while the run lives.
+fn source_hears_of_bad() {
+    let scene = Scene::new(GRAPH).set("camera.refuse_every", "3").set("camera.until_heard", "2");
+    let scene = scene.set("slow.bad_every", "3").set("slow.delay_ms", "0");
+    let summary = scene.run();
+    let heard = scene.text("heard.txt");
+    let lines: Vec<_> = heard.lines().collect();
+    assert_eq!(lines, ["camera None None true", "slow Some(\"a\") Some(\"camera\") true"]);
+    let camera = node(&summary, "camera");
+    assert_eq!((camera.bad, camera.last_bad.as_deref()), (100, Some("told to refuse")), "{summary}");
+    let slow = &node(&summary, "slow").bad_from[0];
+    assert!(slow.input == Some("a") && slow.producer.as_deref() == Some("camera"), "{slow:?}");
 }
 
 fn an_error_is_a_death() {

@@ -3,7 +3,7 @@
 use pseudoflow_msgs::layout::ALIGNMENT;
 use pseudoflow_msgs::{FrameKey, MalformedMessage, Message};
 use pseudoflow_runtime::{
-    Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Registry, Role, bad_input, read,
+    BadFrames, Context, Inputs, Node, NodeError, Outputs, PortSpec, Produced, Refused, Registry, Role, bad_input, read,
 };
 use rand::Rng;
 use schemars::JsonSchema;
@@ -81,6 +81,10 @@ pub(crate) struct Config {
     fail_once: bool,
     /// Cannot use every so manieth frame.
     bad_every: Option<u64>,
+    /// Live sources: refuses a message beside every so manieth frame, and goes on until it has heard of so many nodes' inputs
+    /// that had bad frames.
+    refuse_every: Option<u64>,
+    until_heard: Option<usize>,
     /// Takes so long to start.
     start_ms: u64,
     /// Sources: file whose lines count acknowledged frames; more than `window` ahead of it is an error.
@@ -200,7 +204,14 @@ impl Counter {
 }
 
 /// Makes frames when the clock does.
-pub(crate) struct Ticker(Config, Instant, u64);
+pub(crate) struct Ticker {
+    config: Config,
+    begin: Instant,
+    next: u64,
+    /// Lines about what all nodes have dropped.
+    heard: Vec<String>,
+    refused: u64,
+}
 
 impl Node for Ticker {
     const KIND: &'static str = "ticker";
@@ -217,25 +228,36 @@ impl Node for Ticker {
     }
     fn create(config: Config, context: &Context) -> Result<Self, NodeError> {
         sign_in(context)?;
-        Ok(Self(config, Instant::now(), 0))
+        Ok(Self { config, begin: Instant::now(), next: 0, heard: Vec::new(), refused: 0 })
     }
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let text = format!("{}\n", inputs.key().index);
         append(&context.out_dir.join("results.txt"), &text)
     }
     fn poll(&mut self, outputs: &mut dyn Outputs, context: &Context) -> Result<Produced, NodeError> {
-        if self.2 >= self.0.frames {
-            return Ok(Produced::End);
+        if self.next >= self.config.frames {
+            let deaf = self.config.until_heard.is_some_and(|lines| self.heard.len() < lines);
+            return Ok(if deaf { Produced::Nothing } else { Produced::End });
         }
-        let due = self.1 + Duration::from_millis(self.0.period_ms * self.2);
+        let due = self.begin + Duration::from_millis(self.config.period_ms * self.next);
         if Instant::now() < due {
             return Ok(Produced::Nothing);
         }
-        let key = FrameKey { index: self.2, stamp_ns: self.2 as i64 };
-        self.2 += 1;
-        self.0.work(context, key.index)?;
-        send(outputs, "numbers", key, &vec![key.index; self.0.numbers.max(1)])?;
+        let key = FrameKey { index: self.next, stamp_ns: self.next as i64 };
+        self.next += 1;
+        self.refused += u64::from(self.config.refuse_every.is_some_and(|every| key.index.is_multiple_of(every)));
+        self.config.work(context, key.index)?;
+        send(outputs, "numbers", key, &vec![key.index; self.config.numbers.max(1)])?;
         Ok(Produced::Frame(key))
+    }
+    fn take_refused(&mut self) -> Option<Refused> {
+        let messages = std::mem::take(&mut self.refused);
+        (messages > 0).then(|| Refused { messages, last: "told to refuse".to_owned() })
+    }
+    fn hear_of_bad(&mut self, bad: &[BadFrames], context: &Context) -> Result<(), NodeError> {
+        let of = |bad: &BadFrames| format!("{} {:?} {:?} {}\n", bad.node, bad.input, bad.producer, bad.frames > 0);
+        self.heard = bad.iter().map(of).collect();
+        Ok(fs::write(context.out_dir.join("heard.txt"), self.heard.concat())?)
     }
 }
 
