@@ -27,7 +27,7 @@ pub struct ResultsConfig {
     pub append: bool,
 }
 
-/// Writes the likeliest pose of each instance.
+/// Writes the likeliest pose of each instance, equal ones once.
 pub struct ResultsNode {
     /// The file, where it will lie at the end, and the images in it.
     csv: Option<(ResultsWriter, PathBuf)>,
@@ -62,6 +62,21 @@ fn estimate(image: (u32, u32), pose: &ObjectPose, image_time_s: Option<f64>) -> 
         camera_from_object: camera_from_object.into(),
         image_time_s,
     })
+}
+
+/// A result file may not hold a pose of an object twice: two instances that begin alike can end alike.
+fn without_repeats<'a>(poses: impl Iterator<Item = &'a ObjectPose>) -> Vec<ObjectPose> {
+    let mut kept: Vec<ObjectPose> = Vec::new();
+    for pose in poses {
+        let is_same = |other: &ObjectPose| {
+            (other.object_id, other.rotation_xyzw, other.translation_m)
+                == (pose.object_id, pose.rotation_xyzw, pose.translation_m)
+        };
+        if !kept.iter().any(is_same) {
+            kept.push(*pose);
+        }
+    }
+    kept
 }
 
 fn make_folder_of(file: &Path) -> Result<(), NodeError> {
@@ -119,7 +134,7 @@ impl Node for ResultsNode {
             Some(_) => read::<GateDecisions<'static>>(inputs, "decisions")?.decisions,
             None => &[],
         };
-        let poses: Vec<ObjectPose> = ObjectPose::likeliest(message.poses).copied().collect();
+        let poses = without_repeats(ObjectPose::likeliest(message.poses));
         if let Some(details) = &mut self.details {
             // Before the poses: an image whose poses are there is whole.
             details.write(&ImageDetails::new(image, &poses, decisions))?;
@@ -157,10 +172,12 @@ mod tests {
             instance,
             source: pseudoflow_msgs::PoseSource::Refined as u32,
             score,
+            translation_m: [0.0, 0.0, 1.0 + f64::from(instance.min(1))],
             rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
             ..zeroed
         };
-        let poses = [pose(0, 0.9), pose(0, 0.8), pose(1, 0.7)];
+        // The second is another hypothesis, the last repeats the third.
+        let poses = [pose(0, 0.9), pose(0, 0.8), pose(1, 0.7), pose(2, 0.6)];
         let decision: GateDecision = bytemuck::Zeroable::zeroed();
         let decision = GateDecision {
             object_id: 7,
@@ -173,7 +190,7 @@ mod tests {
         let key = FrameKey { index: u64::from(image_id), stamp_ns: 0 };
         let mut messages = InMemory::new(key);
         messages
-            .send("poses", key, ObjectPoses::byte_len(3), &mut |b| ObjectPoses::write(b, 2, image_id, &poses))
+            .send("poses", key, ObjectPoses::byte_len(poses.len()), &mut |b| ObjectPoses::write(b, 2, image_id, &poses))
             .unwrap();
         let len = GateDecisions::byte_len(1);
         messages.send("decisions", key, len, &mut |b| GateDecisions::write(b, &[decision])).unwrap();
