@@ -17,6 +17,7 @@
 //! | [`NetworkWeights`] | trainer | flow |
 //! | [`Rectangles`] | player (a detector's) | rectangle_finder |
 //! | [`DetectedFrame`] | bridge (a detector's) | rectangle_finder |
+//! | [`GateDecisions`] | pnp | results |
 //! | [`Pictures`] | consistency | recorder |
 //!
 //! At the edges ([`ros`]) the same content is ROS 2 messages: in bags and over DDS.
@@ -27,6 +28,7 @@ pub mod ros;
 mod camera_frame;
 mod detected_frame;
 mod flow_fields;
+mod gate_decisions;
 mod network_weights;
 mod object_poses;
 mod object_statuses;
@@ -40,6 +42,7 @@ mod wanted;
 pub use camera_frame::{CameraFrame, CameraFrameHeader, CameraFrameMut, FRAME_ID_BYTES};
 pub use detected_frame::DetectedFrame;
 pub use flow_fields::{FlowFields, FlowFieldsHeader, FlowFieldsMut};
+pub use gate_decisions::{GateDecision, GateDecisions};
 pub use layout::{AlignedBytes, MalformedMessage};
 pub use network_weights::{NetworkWeights, NetworkWeightsHeader};
 pub use object_poses::{ObjectPose, ObjectPoses, ObjectPosesHeader, PoseSource, PoseStatus};

@@ -72,6 +72,7 @@ fn registry() -> Registry {
         .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()
         .with::<pseudoflow_evaluator::live::StopwatchNode>()
+        .with::<pseudoflow_evaluator::results::ResultsNode>()
         .with::<pseudoflow_recorder::RecorderNode>()
 }
 

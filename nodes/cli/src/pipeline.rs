@@ -1,5 +1,5 @@
-//! The refinement nodes in one process: the same code as in the graph, message by message, without the middleware.
-//! For evaluation over whole datasets, where one process per core beats one process per node.
+//! The refinement nodes called one by one, message by message: for images that no source of a graph gives (`calibrate`), and for
+//! what `adapt` asks of a frame out of turn.
 
 use anyhow::{Context as _, Result, anyhow};
 use pseudoflow_flow::{FlowConfig, FlowNode};
@@ -11,7 +11,6 @@ use pseudoflow_msgs::{
 use pseudoflow_pnp::{Look, PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
-use std::time::{Duration, Instant};
 
 /// How to refine.
 #[derive(Debug, Clone)]
@@ -19,7 +18,6 @@ pub(crate) struct PipelineConfig {
     /// What renders and what computes flow; `None` for poses from contours alone.
     pub(crate) views: Option<(RendererConfig, FlowConfig)>,
     pub(crate) pnp: PnpNodeConfig,
-    pub(crate) passes: u32,
     pub(crate) seed: u64,
 }
 
@@ -34,14 +32,7 @@ pub(crate) struct Frame<'a> {
 pub(crate) struct Pipeline {
     views: Option<(RendererNode, FlowNode)>,
     pnp: PnpNode,
-    passes: u32,
     context: Context,
-}
-
-/// What came out of each pass, and the time of each stage.
-pub(crate) struct Refined {
-    pub(crate) passes: Vec<Vec<Look>>,
-    pub(crate) stages: [Duration; 3],
 }
 
 /// One instance: its refined pose, what the pictures say about it, and the crop that it was refined in.
@@ -74,24 +65,19 @@ impl Pipeline {
         let context = context("eval", config.seed);
         PnpNode::check(&config.pnp).map_err(boxed).context("pnp")?;
         let views = config.views.map(|(renderer, flow)| open_views(renderer, flow, &context)).transpose()?;
-        Ok(Self {
-            views,
-            pnp: PnpNode::create(config.pnp, &context).map_err(boxed).context("pnp")?,
-            passes: config.passes,
-            context,
-        })
+        Ok(Self { views, pnp: PnpNode::create(config.pnp, &context).map_err(boxed).context("pnp")?, context })
     }
 
-    /// Refines the poses of one frame, pass after pass.
-    pub(crate) fn refine(&mut self, frame: &Frame<'_>, initial: &[ObjectPose]) -> Result<Refined> {
-        let mut refined = Refined { passes: Vec::new(), stages: [Duration::ZERO; 3] };
-        let mut poses = initial.to_vec();
-        for _ in 0..self.passes {
-            let looks = self.pass(frame, &poses, &mut refined.stages)?;
-            poses = looks.iter().map(|look| look.pose).collect();
-            refined.passes.push(looks);
+    /// Refines the poses of one frame.
+    pub(crate) fn refine(&mut self, frame: &Frame<'_>, initial: &[ObjectPose]) -> Result<Vec<Look>> {
+        let mut messages = InMemory::new(FrameKey { index: frame.index, stamp_ns: 0 });
+        messages.messages.push(("frame".into(), frame_message(frame)));
+        messages.messages.push(("initial_poses".into(), poses_message(frame, initial)));
+        if let Some((renderer, flow)) = &mut self.views {
+            renderer.step(&mut messages, &self.context).context("node renderer")?;
+            flow.step(&mut messages, &self.context).context("node flow")?;
         }
-        Ok(refined)
+        self.pnp.looks(&messages, &self.context).map_err(boxed).context("node pnp")
     }
 
     /// Refines a frame (`frame` and `initial_poses` are among the messages) and judges each pose without truth.
@@ -115,25 +101,6 @@ impl Pipeline {
             Judged { initial: view.pose, pose: judgement.pose, agreement, photometric, silhouette, crop: view.crop }
         });
         Ok(judged.collect())
-    }
-
-    fn pass(&mut self, frame: &Frame<'_>, initial: &[ObjectPose], stages: &mut [Duration; 3]) -> Result<Vec<Look>> {
-        let mut messages = InMemory::new(FrameKey { index: frame.index, stamp_ns: 0 });
-        messages.messages.push(("frame".into(), frame_message(frame)));
-        messages.messages.push(("initial_poses".into(), poses_message(frame, initial)));
-        let steps: Vec<(&str, &mut dyn Step)> = match &mut self.views {
-            Some((renderer, flow)) => vec![("renderer", renderer), ("flow", flow)],
-            None => Vec::new(),
-        };
-        for ((name, step), time) in steps.into_iter().zip(stages.iter_mut()) {
-            let start = Instant::now();
-            step.step(&mut messages, &self.context).with_context(|| format!("node {name}"))?;
-            *time += start.elapsed();
-        }
-        let start = Instant::now();
-        let looks = self.pnp.looks(&messages, &self.context).map_err(boxed).context("node pnp")?;
-        stages[2] += start.elapsed();
-        Ok(looks)
     }
 }
 

@@ -25,6 +25,12 @@ pub enum EvalError {
     /// A pose that came is none.
     #[error("a pose that came is no pose: {0}")]
     Arrival(String),
+    /// A file of details that is none, or belongs to other poses.
+    #[error("{what}: give the `details` that a results node wrote beside the result file")]
+    DetailsFile {
+        /// File or image, and what is wrong.
+        what: String,
+    },
     /// A file that cannot be read or written.
     #[error("{path}: {source}")]
     Io {

@@ -7,6 +7,7 @@
 //! - [`Diagnosis`] says what is wrong: depth, rotation, visibility, the gate, confidence and covariance.
 //! - [`compare`] sets two reports against each other, with a paired bootstrap interval.
 //! - [`live`] says how a graph does beside a camera: rates, latencies, what was right in time.
+//! - [`results`] writes what a graph found as a BOP result file.
 //! - [`EvaluatorNode`] collects poses from the graph and scores them at the end.
 
 mod compare;
@@ -20,6 +21,7 @@ pub mod live;
 mod node;
 mod overlay;
 mod report;
+pub mod results;
 mod score;
 
 pub use compare::{Comparison, Difference, compare, compare_sets};

@@ -13,7 +13,7 @@ use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus, TrackPhase,
     TrackReason, Wanted,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Draws, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -46,6 +46,9 @@ pub struct InitializerConfig {
     /// Live: begins only when all views are there (see `compare.cache`), instead of making them beside the first frames.
     #[serde(default)]
     pub prepare_first: bool,
+    /// What decides which numbers RANSAC draws.
+    #[serde(default)]
+    pub draws: Draws,
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
@@ -69,6 +72,7 @@ impl InitializerConfig {
             track: None,
             search,
             prepare_first: false,
+            draws: Draws::default(),
             engine,
         }
     }
@@ -80,6 +84,7 @@ pub struct InitializerNode {
     following: Option<Following>,
     patience: Patience,
     memory: Memory,
+    draws: Draws,
 }
 
 /// Tracks of a node that follows what it has found.
@@ -119,7 +124,9 @@ impl InitializerNode {
         let left_out = |object: &Object, there: &Rectangle| {
             preparing.iter().any(|p| p.object_id == object.id) || leave_out(object, there, &camera)
         };
-        Ok(self.finder.find(&image, &camera, &left_out, &mut context.rng(key.index, "ransac"))?)
+        let named = (frame.header.scene_id, frame.header.image_id);
+        let mut rng = self.draws.rng(context, key.index, named, "ransac");
+        Ok(self.finder.find(&image, &camera, &left_out, &mut rng)?)
     }
 
     /// What a frame shows of what is wanted and due.
@@ -323,7 +330,8 @@ impl Node for InitializerNode {
             learned: None,
         });
         let finder = Finder { network, comparer, objects, config: config.detect };
-        Ok(Self { finder, following, patience: Patience::new(config.search), memory: Memory::default() })
+        let (patience, draws) = (Patience::new(config.search), config.draws);
+        Ok(Self { finder, following, patience, memory: Memory::default(), draws })
     }
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {

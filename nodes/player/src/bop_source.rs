@@ -1,4 +1,5 @@
 use crate::source::{FrameFacts, check_sizes};
+use crate::targets::Targets;
 use crate::{FrameSource, LoadedFrame, PlayerError};
 use pseudoflow_geometry::{Pose, quaternion_xyzw};
 use pseudoflow_imaging::{BopFrame, BopScene, ImagingError, InitialPose, image_size};
@@ -32,6 +33,17 @@ impl BopSource {
     pub fn open(folder: &Path) -> Result<Self, PlayerError> {
         let scene = BopScene::open(folder)?;
         check_frame_sizes(scene.frames.iter())?;
+        Ok(Self { scene })
+    }
+
+    /// Opens what a target list names of a scene folder: those images, and poses of those objects alone. The images may differ
+    /// in size, as those of a dataset do.
+    pub(crate) fn open_targets(folder: &Path, targets: &Targets) -> Result<Self, PlayerError> {
+        let scene_id = folder.file_name().and_then(|name| name.to_str()?.parse().ok()).unwrap_or(0);
+        let mut scene = BopScene::open_where(folder, &|image_id| targets.names_image(scene_id, image_id))?;
+        for frame in &mut scene.frames {
+            targets.keep(scene_id, frame.image_id, &mut frame.initial_poses);
+        }
         Ok(Self { scene })
     }
 }

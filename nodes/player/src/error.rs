@@ -14,12 +14,15 @@ pub enum PlayerError {
     /// A BOP result file of initial poses.
     #[error(transparent)]
     Results(#[from] pseudoflow_metrics::ResultsError),
+    /// A target list.
+    #[error("`targets`: {0}")]
+    Targets(#[from] pseudoflow_metrics::TruthError),
     /// A calibration file.
     #[error(transparent)]
     Calibration(#[from] pseudoflow_edge::camera::CalibrationFileError),
     /// Neither a bag nor a BOP scene.
     #[error(
-        "`source: {0}`: no recording there: give a rosbag2 folder, an .mcap file or a BOP scene folder (with scene_camera.json)"
+        "`source: {0}`: no recording there: give a rosbag2 folder, an .mcap file, a BOP scene folder (with scene_camera.json) or a folder of such"
     )]
     NoRecording(PathBuf),
     /// No topic has the wanted type.

@@ -13,6 +13,7 @@ mod node;
 mod sampling;
 mod several;
 mod source;
+mod targets;
 
 pub use bag_source::{BagOptions, BagSource};
 pub use bop_source::BopSource;

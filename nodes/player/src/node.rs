@@ -2,10 +2,11 @@ use crate::given::{GivenPoses, is_result_file};
 use crate::sampling::{Sample, Sampler, Sampling};
 use crate::several::Several;
 use crate::source::FrameFacts;
+use crate::targets::Targets;
 use crate::{BagOptions, BagSource, BopSource, FrameSource, LoadedFrame, PlayerError};
 use pseudoflow_edge::camera::read_calibration;
 use pseudoflow_edge::naming_of;
-use pseudoflow_imaging::ObjectSet;
+use pseudoflow_imaging::{ObjectSet, list_scenes};
 use pseudoflow_msgs::ros::Naming;
 use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader, Rectangles,
@@ -20,7 +21,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlayerConfig {
-    /// A rosbag2 folder, an .mcap file, or a BOP scene folder.
+    /// A rosbag2 folder, an .mcap file, a BOP scene folder, or a BOP split: a folder of scenes.
     pub source: PathBuf,
     /// More recordings, played behind the first.
     #[serde(default)]
@@ -46,6 +47,10 @@ pub struct PlayerConfig {
     /// Calibration of a bag's camera (YAML of camera_calibration) instead of a CameraInfo topic.
     #[serde(default)]
     pub calibration: Option<PathBuf>,
+    /// BOP scenes: a target list such as `test_targets_bop19.json`. Only its images are played, and the scenes' initial poses
+    /// only of the objects that it names in them.
+    #[serde(default)]
+    pub targets: Option<PathBuf>,
     /// Only initial poses of these objects; all without.
     #[serde(default)]
     pub only_objects: Option<Vec<u32>>,
@@ -96,6 +101,7 @@ impl PlayerConfig {
             rectangles_topic: None,
             rectified: false,
             calibration: None,
+            targets: None,
             only_objects: None,
             hz: None,
             passes: once(),
@@ -118,6 +124,11 @@ fn is_bop_scene(path: &Path) -> bool {
     path.join("scene_camera.json").is_file()
 }
 
+/// Whether a folder is no recording but holds scenes.
+fn is_bop_split(path: &Path) -> bool {
+    path.is_dir() && !is_bop_scene(path) && list_scenes(path).is_ok()
+}
+
 /// Opens the recordings of a player's settings, to look into them without playing.
 ///
 /// # Errors
@@ -127,18 +138,26 @@ pub fn open_recording(config: &PlayerConfig) -> Result<Box<dyn FrameSource>, Pla
 }
 
 fn open_all(config: &PlayerConfig, naming: &Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
-    let first = open(config, &config.source, naming.clone())?;
-    if config.also.is_empty() {
-        return Ok(first);
+    let targets = config.targets.as_deref().map(Targets::read).transpose()?;
+    let mut all = Vec::new();
+    for path in std::iter::once(&config.source).chain(&config.also) {
+        let scenes = if is_bop_split(path) { list_scenes(path)? } else { vec![path.clone()] };
+        for path in scenes {
+            all.push(open(config, &path, targets.as_ref(), naming.clone())?);
+        }
     }
-    let more = config.also.iter().map(|path| open(config, path, naming.clone()));
-    let all: Result<Vec<_>, _> = std::iter::once(Ok(first)).chain(more).collect();
-    Ok(Box::new(Several(all?)))
+    Ok(if all.len() == 1 { all.remove(0) } else { Box::new(Several(all)) })
 }
 
-fn open(config: &PlayerConfig, path: &Path, naming: Naming) -> Result<Box<dyn FrameSource>, PlayerError> {
+fn open(
+    config: &PlayerConfig,
+    path: &Path,
+    targets: Option<&Targets>,
+    naming: Naming,
+) -> Result<Box<dyn FrameSource>, PlayerError> {
     if is_bop_scene(path) {
-        return Ok(Box::new(BopSource::open(path)?));
+        let scene = targets.map_or_else(|| BopSource::open(path), |targets| BopSource::open_targets(path, targets));
+        return Ok(Box::new(scene?));
     }
     if !path.exists() {
         return Err(PlayerError::NoRecording(path.to_owned()));
@@ -306,7 +325,14 @@ impl Node for PlayerNode {
         if config.initial_poses.topic.is_some() && config.initial_poses.file.is_some() {
             return Err("`initial_poses`: both `topic` and `file` are given: leave one out".into());
         }
-        if config.initial_poses.topic.is_some() && is_bop_scene(&config.source) {
+        let is_bop = |path: &PathBuf| is_bop_scene(path) || is_bop_split(path);
+        if config.targets.is_some() && !std::iter::once(&config.source).chain(&config.also).all(is_bop) {
+            return Err("`targets`: only BOP scenes have images that a target list can name: leave it out".into());
+        }
+        if config.targets.as_ref().is_some_and(|path| !path.is_file()) {
+            return Err("`targets`: no such file: name a BOP target list, or leave it out".into());
+        }
+        if config.initial_poses.topic.is_some() && is_bop(&config.source) {
             return Err("`initial_poses.topic`: a BOP scene has no topics: leave it out, or give `file`".into());
         }
         if config.hz.is_some_and(|hz| !(0.01..=1000.0).contains(&hz)) {

@@ -1,5 +1,6 @@
 use crate::gate::GateConfig;
 use crate::joint::Stages;
+use pseudoflow_runtime::Draws;
 use pseudoflow_solver::{JointConfig, PnpConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,8 @@ pub struct PnpNodeConfig {
     pub min_seen: f64,
     /// Frames of a training that went before this run: they decide what is drawn at random.
     pub first_frame: u64,
+    /// What decides which numbers RANSAC draws.
+    pub draws: Draws,
 }
 
 impl Default for PnpNodeConfig {
@@ -40,6 +43,7 @@ impl Default for PnpNodeConfig {
             gate: Some(GateConfig::default()),
             min_seen: MIN_SEEN,
             first_frame: 0,
+            draws: Draws::default(),
         }
     }
 }

@@ -1,12 +1,16 @@
 use crate::PnpNodeConfig;
-use crate::gate::{Evidence, Features, Gate, StageModel, Verdict};
+use crate::gate::{Evidence, Feature, Features, Gate, StageModel, Verdict};
 use crate::joint::{Joint, Stages};
 use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use pseudoflow_geometry::{Pose, quaternion_xyzw};
-use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceViews};
+use pseudoflow_msgs::{
+    CameraFrame, FlowFields, GateDecision, GateDecisions, ObjectPose, ObjectPoses, PoseSource, PoseStatus,
+    ReferenceViews,
+};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
 use pseudoflow_solver::{PixelBuffer, PnpResult, PnpStatus, Solver};
 use rand::Rng;
+use rand_chacha::ChaCha8Rng;
 
 /// Views and flow in, refined poses out.
 pub struct PnpNode {
@@ -44,6 +48,29 @@ pub struct Refinement {
     pub verdict: Verdict,
     /// The solver's covariance, not yet scaled by what was learnt.
     pub solver_covariance: [f64; 36],
+}
+
+impl Look {
+    /// The gate's decision as a message; `None` where there was nothing to decide.
+    fn decision(&self) -> Option<GateDecision> {
+        let refinement = self.refinement.as_ref()?;
+        let mut evidence = [f64::NAN; GateDecision::EVIDENCE.len()];
+        for (value, feature) in evidence.iter_mut().zip(Feature::ALL) {
+            *value = refinement.features.get(feature);
+        }
+        evidence[Feature::ALL.len()] = refinement.verdict.better;
+        Some(GateDecision {
+            object_id: self.pose.object_id,
+            instance: self.pose.instance,
+            accepted: u32::from(refinement.accepted),
+            reserved: 0,
+            before_rotation_xyzw: quaternion_xyzw(&refinement.before),
+            before_translation_m: refinement.before.translation.vector.into(),
+            after_rotation_xyzw: quaternion_xyzw(&refinement.after),
+            after_translation_m: refinement.after.translation.vector.into(),
+            evidence,
+        })
+    }
 }
 
 impl PnpNode {
@@ -119,13 +146,13 @@ impl PnpNode {
     /// When views and flow are missing or do not belong together.
     pub fn looks(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<Vec<Look>, NodeError> {
         if let Some(joint) = &mut self.joint {
-            let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
+            let mut rng = draws(&self.config, inputs, context)?;
             return Ok(best_of_each(joint.looks(inputs, rng.random())?));
         }
         let views = read::<ReferenceViews<'static>>(inputs, "views")?;
         let flow = read::<FlowFields<'static>>(inputs, "flow")?;
         belong_together(&views, &flow).or_bad_input("flow")?;
-        let mut rng = context.rng(self.config.first_frame + inputs.key().index, "ransac");
+        let mut rng = draws(&self.config, inputs, context)?;
         let skipped = |pose: &ObjectPose| Look { pose: *pose, seen: f64::NEG_INFINITY, refinement: None };
         let mut looks: Vec<Look> = views.skipped.iter().map(skipped).collect();
         for instance in 0..views.header.instances as usize {
@@ -233,6 +260,22 @@ fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
     looks
 }
 
+/// BOP scene and image of a frame.
+fn image(inputs: &dyn Inputs) -> Result<(u32, u32), NodeError> {
+    if inputs.bytes("views").is_some() {
+        let header = read::<ReferenceViews<'static>>(inputs, "views")?.header;
+        return Ok((header.scene_id, header.image_id));
+    }
+    let header = read::<ObjectPoses<'static>>(inputs, "initial_poses")?.header;
+    Ok((header.scene_id, header.image_id))
+}
+
+/// The random source of RANSAC for a frame.
+fn draws(config: &PnpNodeConfig, inputs: &dyn Inputs, context: &Context) -> Result<ChaCha8Rng, NodeError> {
+    let frame = config.first_frame + inputs.key().index;
+    Ok(config.draws.rng(context, frame, image(inputs)?, "ransac"))
+}
+
 impl Node for PnpNode {
     const KIND: &'static str = "pnp";
     const ROLE: Role = Role::Transform;
@@ -249,7 +292,10 @@ impl Node for PnpNode {
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<ObjectPoses<'static>>("poses")]
+        vec![
+            PortSpec::required::<ObjectPoses<'static>>("poses"),
+            PortSpec::optional::<GateDecisions<'static>>("decisions"),
+        ]
     }
 
     fn check(config: &PnpNodeConfig) -> Result<(), NodeError> {
@@ -284,17 +330,15 @@ impl Node for PnpNode {
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
-        let poses: Vec<ObjectPose> = self.looks(inputs, context)?.into_iter().map(|look| look.pose).collect();
-        let (scene_id, image_id) = match inputs.bytes("views") {
-            Some(_) => {
-                let header = read::<ReferenceViews<'static>>(inputs, "views")?.header;
-                (header.scene_id, header.image_id)
-            }
-            None => {
-                let header = read::<ObjectPoses<'static>>(inputs, "initial_poses")?.header;
-                (header.scene_id, header.image_id)
-            }
-        };
+        let looks = self.looks(inputs, context)?;
+        if outputs.is_connected("decisions") {
+            let decisions: Vec<GateDecision> = looks.iter().filter_map(Look::decision).collect();
+            outputs.send("decisions", inputs.key(), GateDecisions::byte_len(decisions.len()), &mut |bytes| {
+                GateDecisions::write(bytes, &decisions);
+            })?;
+        }
+        let poses: Vec<ObjectPose> = looks.into_iter().map(|look| look.pose).collect();
+        let (scene_id, image_id) = image(inputs)?;
         outputs.send("poses", inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, &poses);
         })
@@ -304,6 +348,14 @@ impl Node for PnpNode {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_message_names_the_gates_features() {
+        let names = Feature::ALL.map(|feature| serde_json::to_value(feature).unwrap());
+        let features = &GateDecision::EVIDENCE[..Feature::ALL.len()];
+        assert_eq!(features, names.map(|name| name.as_str().unwrap().to_owned()));
+        assert_eq!(GateDecision::EVIDENCE[Feature::ALL.len()..], ["better"]);
+    }
 
     #[test]
     fn of_several_poses_of_an_instance_the_one_that_is_seen_best_stays() {

@@ -124,7 +124,6 @@ fn pipeline(args: &Args, stages: Stages, objects: &Path, size_px: u32) -> Result
         views,
         // Without a gate every solution comes out, the bad ones too.
         pnp: PnpNodeConfig { gate: None, stages, objects: Some(objects.to_owned()), ..PnpNodeConfig::default() },
-        passes: 1,
         seed: args.seed,
     })
 }

@@ -1,22 +1,20 @@
+//! `pseudoflow eval`: writes a graph, runs it in this process, scores the files that it left.
+
 mod compare;
-mod convert;
+mod graph;
 mod table;
 
 use super::progress_bar;
-use crate::pipeline::{Finder, Pipeline, PipelineConfig};
 use anyhow::{Context as _, Result, bail, ensure};
 pub(crate) use compare::{CompareArgs, compare};
-use convert::{details, estimate, frame, given};
-use pseudoflow_evaluator::{EstimateDetails, EvalDataset, EvalImage, NamedEstimates, evaluate, load_dataset, overlays};
-use pseudoflow_flow::FlowConfig;
-use pseudoflow_inference::{Backend, EngineConfig};
-use pseudoflow_initializer::{CompareConfig, InitializerConfig};
-use pseudoflow_metrics::{Estimate, ResultsWriter, read_results};
-use pseudoflow_msgs::ObjectPose;
+use graph::Files;
+use pseudoflow_evaluator::results::{details_of_estimates, read_details};
+use pseudoflow_evaluator::{EvalDataset, NamedEstimates, evaluate, load_dataset, overlays};
+use pseudoflow_metrics::{Estimate, ResultsWriter, Target, read_results};
 use pseudoflow_network::ComputeDevice;
-use pseudoflow_pnp::gate::GateConfig;
-use pseudoflow_pnp::{Look, PnpNodeConfig, Stages};
-use pseudoflow_renderer::RendererConfig;
+use pseudoflow_pnp::Stages;
+use pseudoflow_runtime::local;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -114,6 +112,21 @@ impl Args {
     fn csv(&self) -> &Path {
         self.csv.as_deref().unwrap_or(Path::new(""))
     }
+
+    /// Whether poses are refined here.
+    fn refines(&self) -> Result<bool> {
+        Ok(self.weights.is_some() || stages_named(&self.stages)? == Stages::Region)
+    }
+
+    /// The initializer's weights, if they are to give the initial poses.
+    fn initializer(&self) -> Option<&Path> {
+        self.init.as_deref().filter(|path| path.extension().is_some_and(|extension| extension == "safetensors"))
+    }
+
+    /// The meshes to render.
+    fn objects(&self, dataset: &EvalDataset) -> PathBuf {
+        self.objects.clone().unwrap_or_else(|| dataset.render_dir.clone())
+    }
 }
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
@@ -126,31 +139,14 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
             out: folder.join("compare.html"),
         });
     }
-    let stages = stages(args)?;
-    if args.weights.is_some() || initializer(args).is_some() || stages == Stages::Region {
+    let runs = args.refines()? || args.initializer().is_some();
+    if runs {
         check_name(args)?;
     }
     let dataset = dataset(args)?;
-    let sets = match (&args.weights, initializer(args)) {
-        (weights, _) if weights.is_some() || stages == Stages::Region => {
-            refine_dataset(args, weights.as_deref(), &dataset)?
-        }
-        (_, Some(initializer)) => {
-            let estimates = first_of_each(&find_all(args, initializer, &dataset)?);
-            let part = args.csv().with_extension("csv.part");
-            let mut writer = ResultsWriter::create(&part)?;
-            let image = |e: &Estimate| (e.scene_id, e.image_id);
-            for of_image in estimates.chunk_by(|a, b| image(a) == image(b)) {
-                writer.write_image(of_image)?;
-            }
-            std::fs::rename(&part, args.csv())
-                .with_context(|| format!("{}: cannot be written", args.csv().display()))?;
-            vec![NamedEstimates::new("init", estimates)]
-        }
-        (_, None) => {
-            let estimates = read_results(args.csv(), Some(&dataset.known))?;
-            vec![NamedEstimates::new("estimate", estimates)]
-        }
+    let sets = match runs {
+        true => run_graph(args, &dataset)?,
+        false => vec![NamedEstimates::new("estimate", read_results(args.csv(), Some(&dataset.known))?)],
     };
     let bar = progress_bar(dataset.images.len() as u64, "score");
     let mut report = evaluate(&dataset, &sets, &|done, _| bar.set_position(done as u64))?;
@@ -194,108 +190,58 @@ fn check_name(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// Refines every image; the CSV grows image by image beside its place and is renamed when whole.
-fn refine_dataset(args: &Args, weights: Option<&Path>, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
-    let initial = match &args.init {
-        Some(path) if initializer(args).is_some() => find_all(args, path, dataset)?,
-        Some(path) => numbered(read_results(path, Some(&dataset.known))?),
-        None => numbered(dataset.initial_estimates()),
-    };
-    let mut passes = passes(args, weights, dataset)?;
-    let part = args.csv().with_extension("csv.part");
-    let (mut writer, mut refined) = match args.resume {
-        true => ResultsWriter::resume(&part)?,
-        false => (ResultsWriter::create(&part)?, Vec::new()),
-    };
-    // A result file has no place for what else is known of a pose.
-    let mut details = vec![EstimateDetails::default(); refined.len()];
-    let bar = progress_bar(dataset.images.len() as u64, "refine");
-    for image in &dataset.images {
-        let is_here = |e: &&Estimate| (e.scene_id, e.image_id) == (image.scene_id, image.frame.image_id);
-        if !refined.iter().any(|e| is_here(&e)) {
-            let here: Vec<&Initial> = initial.iter().filter(|i| is_here(&&i.estimate)).collect();
-            let (estimates, of_them) = refine_image(&mut passes, image, &here)?;
-            writer.write_image(&estimates)?;
-            refined.extend(estimates);
-            details.extend(of_them);
-        }
-        bar.inc(1);
-    }
+/// Runs the graph over the images that an interrupted run has not done, and reads what it left.
+fn run_graph(args: &Args, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
+    let files = Files::beside(args.csv());
+    files.make_folder()?;
+    let done = images_done(args)?;
+    let is_left = |image: &(u32, u32)| !done.contains(image);
+    files.write_targets(
+        &targets(dataset).into_iter().filter(|t| is_left(&(t.scene_id, t.image_id))).collect::<Vec<_>>(),
+    )?;
+    let graph = graph::graph(args, dataset, &files)?;
+    files.write_graph(&graph)?;
+    let what = if args.refines()? { "refine" } else { "find" };
+    let bar = progress_bar(dataset.images.len() as u64, what);
+    let before = done.len() as u64;
+    local::run(&graph, &crate::registry(), files.folder(), &mut |frames| bar.set_position(before + frames))?;
     bar.finish_and_clear();
-    std::fs::rename(&part, args.csv()).with_context(|| format!("{}: cannot be written", args.csv().display()))?;
-    Ok(vec![
-        NamedEstimates::new("init", first_of_each(&initial)),
-        NamedEstimates { details, ..NamedEstimates::new("refined", refined) },
-    ])
+    if !args.refines()? {
+        return Ok(vec![NamedEstimates::new("init", read_results(args.csv(), None)?)]);
+    }
+    let refined = read_results(args.csv(), None)?;
+    let passes: Vec<_> = (1..=args.passes).map(|pass| read_details(&files.details(pass))).collect::<Result<_, _>>()?;
+    let details = details_of_estimates(&refined, &passes)?;
+    let refined = NamedEstimates { details, ..NamedEstimates::new("refined", refined) };
+    Ok(vec![NamedEstimates::new("init", initial(args, dataset, &files)?), refined])
 }
 
-fn engine(args: &Args) -> Result<EngineConfig> {
-    let backend = match args.backend.as_str() {
-        "auto" => Backend::Auto,
-        "onnxruntime" => Backend::OnnxRuntime,
-        "rten" => Backend::Rten,
-        "burn" => Backend::Burn,
-        other => bail!("`--backend {other}`: write auto, onnxruntime, rten or burn"),
+/// Images that the file of an interrupted run holds whole; what else it holds is removed.
+fn images_done(args: &Args) -> Result<BTreeSet<(u32, u32)>> {
+    if !(args.resume && args.refines()?) {
+        return Ok(BTreeSet::new());
+    }
+    let (_, done) = ResultsWriter::resume(&args.csv().with_extension("csv.part"))?;
+    Ok(done.iter().map(|estimate| (estimate.scene_id, estimate.image_id)).collect())
+}
+
+/// The dataset's images and what is to be found in each.
+fn targets(dataset: &EvalDataset) -> Vec<Target> {
+    let of_image = |image: &pseudoflow_evaluator::EvalImage| {
+        let (scene_id, image_id) = (image.scene_id, image.frame.image_id);
+        let target = move |(&object_id, &inst_count)| Target { scene_id, image_id, object_id, inst_count };
+        image.targets.iter().map(target).collect::<Vec<_>>()
     };
-    Ok(EngineConfig { backend, onnxruntime: args.onnxruntime.clone(), ..EngineConfig::default() })
+    dataset.images.iter().flat_map(of_image).collect()
 }
 
-/// The initializer's: it runs ONNX files on the processor.
-fn finder_engine(args: &Args) -> Result<EngineConfig> {
-    let engine = engine(args)?;
-    let backend = if engine.backend == Backend::Burn { Backend::Auto } else { engine.backend };
-    Ok(EngineConfig { backend, ..engine })
-}
-
-/// A pipeline for each size, with the passes that it makes.
-fn passes(args: &Args, weights: Option<&Path>, dataset: &EvalDataset) -> Result<Vec<Pipeline>> {
-    let (sizes, passes) = (args.size.len() as u32, args.passes);
-    ensure!(sizes <= passes, "`--size` names {sizes} sizes for `--passes {passes}`: give a pass to each");
-    let open = |(i, size): (usize, &u32)| {
-        let passes = if i + 1 == args.size.len() { passes + 1 - sizes } else { 1 };
-        Pipeline::open(pipeline_config(args, weights, dataset, (*size, passes))?)
-    };
-    args.size.iter().enumerate().map(open).collect()
-}
-
-fn pipeline_config(
-    args: &Args,
-    weights: Option<&Path>,
-    dataset: &EvalDataset,
-    (size_px, passes): (u32, u32),
-) -> Result<PipelineConfig> {
-    let default = GateConfig::default();
-    let min_better = args.min_better.unwrap_or(default.min_better);
-    let gate = GateConfig { model: args.gate.clone(), min_better, ..default };
-    let stages = stages(args)?;
-    let objects = args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone());
-    let pnp = PnpNodeConfig {
-        gate: (!args.no_gate).then_some(gate),
-        stages,
-        objects: Some(objects.clone()),
-        ..PnpNodeConfig::default()
-    };
-    let views = match weights.filter(|_| stages != Stages::Region) {
-        Some(weights) => {
-            let flow = FlowConfig {
-                model: weights.to_owned(),
-                network: super::export::network(&args.network)?,
-                size_px,
-                iterations: args.iterations,
-                max_batch: 16,
-                device: args.device,
-                engine: engine(args)?,
-                lockstep: None,
-            };
-            Some((RendererConfig::new(objects, size_px), flow))
-        }
-        None => None,
-    };
-    Ok(PipelineConfig { views, pnp, passes, seed: args.seed })
-}
-
-fn stages(args: &Args) -> Result<Stages> {
-    stages_named(&args.stages)
+/// The poses that the refinement began from.
+fn initial(args: &Args, dataset: &EvalDataset, files: &Files) -> Result<Vec<Estimate>> {
+    Ok(match &args.init {
+        Some(_) if args.initializer().is_some() => read_results(&files.found(), None)?,
+        Some(path) => read_results(path, Some(&dataset.known))?,
+        None => dataset.initial_estimates(),
+    })
 }
 
 pub(super) fn stages_named(name: &str) -> Result<Stages> {
@@ -305,75 +251,4 @@ pub(super) fn stages_named(name: &str) -> Result<Stages> {
         "joint" => Stages::Joint,
         other => bail!("`--stages {other}`: write flow, region or joint"),
     })
-}
-
-/// The initializer's weights, if they are to give the initial poses.
-fn initializer(args: &Args) -> Option<&Path> {
-    args.init.as_deref().filter(|path| path.extension().is_some_and(|extension| extension == "safetensors"))
-}
-
-/// A pose to refine.
-struct Initial {
-    estimate: Estimate,
-    /// Poses with one number are hypotheses of one instance.
-    instance: u32,
-}
-
-/// Each pose an instance of its own.
-fn numbered(estimates: Vec<Estimate>) -> Vec<Initial> {
-    estimates.into_iter().zip(0..).map(|(estimate, instance)| Initial { estimate, instance }).collect()
-}
-
-/// The surest pose of each instance, which comes first.
-fn first_of_each(initial: &[Initial]) -> Vec<Estimate> {
-    let of = |i: &Initial| (i.estimate.scene_id, i.estimate.image_id, i.estimate.object_id, i.instance);
-    initial.chunk_by(|a, b| of(a) == of(b)).map(|same| same[0].estimate.clone()).collect()
-}
-
-/// What the initializer finds in every image.
-fn find_all(args: &Args, weights: &Path, dataset: &EvalDataset) -> Result<Vec<Initial>> {
-    let objects = args.objects.clone().unwrap_or_else(|| dataset.render_dir.clone());
-    let config = InitializerConfig {
-        network: args.init_network.clone(),
-        compare: args.init_compare.clone().map(CompareConfig::new),
-        engine: finder_engine(args)?,
-        ..InitializerConfig::new(weights.to_owned(), objects)
-    };
-    let mut finder = Finder::open(config, args.seed)?;
-    let bar = progress_bar(dataset.images.len() as u64, "find");
-    let mut found = Vec::new();
-    for image in &dataset.images {
-        let rgb = image.frame.load_image()?;
-        let start = std::time::Instant::now();
-        let poses = finder.find(&frame(image, &rgb))?;
-        let image_time_s = Some(start.elapsed().as_secs_f64());
-        for pose in &poses {
-            let estimate = Estimate { image_time_s, ..estimate(image, pose)? };
-            found.push(Initial { estimate, instance: pose.instance });
-        }
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    Ok(found)
-}
-
-/// The refined poses of an image, and what else is known of each.
-fn refine_image(
-    passes: &mut [Pipeline],
-    image: &EvalImage,
-    initial: &[&Initial],
-) -> Result<(Vec<Estimate>, Vec<EstimateDetails>)> {
-    let rgb = image.frame.load_image()?;
-    let mut poses: Vec<ObjectPose> = initial.iter().map(|i| given(&i.estimate, i.instance)).collect();
-    let mut took = std::time::Duration::ZERO;
-    let mut looks: Vec<Vec<Look>> = Vec::new();
-    for pipeline in passes {
-        let refined = pipeline.refine(&frame(image, &rgb), &poses)?;
-        took += refined.stages.iter().sum::<std::time::Duration>();
-        looks.extend(refined.passes);
-        poses = looks.last().context("a pipeline makes a pass")?.iter().map(|look| look.pose).collect();
-    }
-    let image_time_s = Some(took.as_secs_f64());
-    let estimates: Result<_> = poses.iter().map(|p| Ok(Estimate { image_time_s, ..estimate(image, p)? })).collect();
-    Ok((estimates?, poses.iter().map(|pose| details(pose, &looks)).collect()))
 }

@@ -1,6 +1,6 @@
 use crate::MatrixPose;
 use pseudoflow_geometry::PoseError;
-use serde::{Deserialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,7 @@ pub struct SceneTruth {
 }
 
 /// One line of a target list: how many instances of an object are to be found in an image.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Target {
     /// Scene.
     pub scene_id: u32,

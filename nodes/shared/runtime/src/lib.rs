@@ -5,6 +5,7 @@ pub mod bag;
 mod board;
 mod clock;
 mod context;
+mod draws;
 mod error;
 pub mod files;
 pub mod graph;
@@ -20,6 +21,7 @@ pub mod yaml;
 
 pub use bad::{BadFrames, BadInput, OrBadInput, Refused, bad_input};
 pub use context::Context;
+pub use draws::{Draws, DrawsBy};
 pub use graph::{Graph, GraphError, Mode, NodeSpec, Problem};
 pub use ipc::IpcError;
 pub use node::{InMemory, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Role, read};

@@ -125,7 +125,6 @@ pub(super) fn pipeline(args: &Args, weights: &Path) -> Result<Pipeline> {
             },
         )),
         pnp: PnpNodeConfig::default(),
-        passes: 1,
         seed: args.seed,
     })
 }

@@ -120,8 +120,7 @@ impl Maker {
                 truth.push((number as u32, instance.camera_from_object, visible));
             }
         }
-        let refined = pipeline.refine(&frame(&scene, index), &rough)?;
-        let looks = refined.passes.last().context("a pipeline makes a pass")?;
+        let looks = pipeline.refine(&frame(&scene, index), &rough)?;
         looks.iter().filter_map(|look| self.sample(look, &truth).transpose()).collect()
     }
 

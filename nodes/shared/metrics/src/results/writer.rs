@@ -59,9 +59,24 @@ impl ResultsWriter {
         if !path.exists() {
             return Ok((Self::create(path)?, Vec::new()));
         }
+        Self::go_on(path, without_last_image)
+    }
+
+    /// As [`ResultsWriter::resume`] for a file of a writer that died between two images: only a row that was cut off is removed.
+    ///
+    /// # Errors
+    /// As [`ResultsWriter::resume`].
+    pub fn append(path: &Path) -> Result<(Self, Vec<Estimate>), ResultsError> {
+        if !path.exists() {
+            return Ok((Self::create(path)?, Vec::new()));
+        }
+        Self::go_on(path, whole_rows)
+    }
+
+    fn go_on(path: &Path, kept: fn(&str) -> &str) -> Result<(Self, Vec<Estimate>), ResultsError> {
         let io = |source| ResultsError::Io { path: path.to_owned(), source };
         let text = std::fs::read_to_string(path).map_err(io)?;
-        let kept = without_last_image(&text);
+        let kept = kept(&text);
         if !kept.starts_with(HEADER) {
             return Ok((Self::create(path)?, Vec::new()));
         }
@@ -90,9 +105,14 @@ impl ResultsWriter {
     }
 }
 
+/// The text without a last row that was cut off.
+fn whole_rows(text: &str) -> &str {
+    &text[..text.rfind('\n').map_or(0, |i| i + 1)]
+}
+
 /// The text up to the first row of the image that its last whole row belongs to.
 fn without_last_image(text: &str) -> &str {
-    let whole = &text[..text.rfind('\n').map_or(0, |i| i + 1)];
+    let whole = whole_rows(text);
     let image = |line: &str| line.splitn(3, ',').take(2).map(str::to_owned).collect::<Vec<_>>();
     let Some(last) = whole.lines().last().map(image) else { return whole };
     let rows = whole.split_inclusive('\n').rev().take_while(|l| !l.starts_with(HEADER) && image(l) == last);

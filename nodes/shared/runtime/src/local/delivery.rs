@@ -6,6 +6,7 @@ use crate::{Inputs, NodeError, Outputs};
 use pseudoflow_msgs::{AlignedBytes, FrameKey};
 use std::collections::BTreeMap;
 use std::rc::Rc;
+use std::time::Instant;
 
 /// A message that has several readers.
 #[derive(Clone)]
@@ -17,6 +18,8 @@ pub(super) struct Sent {
 /// What waits before each node.
 pub(super) struct Delivery {
     nodes: Vec<Waiting>,
+    /// When the source had made each frame that may still be on its way.
+    made: BTreeMap<u64, Instant>,
 }
 
 #[derive(Default)]
@@ -31,7 +34,13 @@ impl Delivery {
     pub(super) fn new(plan: &Plan) -> Self {
         let waiting =
             |node: &PlannedNode| Waiting { latest: vec![Vec::new(); node.inputs.len()], ..Waiting::default() };
-        Self { nodes: plan.nodes.iter().map(waiting).collect() }
+        Self { nodes: plan.nodes.iter().map(waiting).collect(), made: BTreeMap::new() }
+    }
+
+    /// The source has made a frame; those below `needed_from` are done with.
+    pub(super) fn made(&mut self, index: u64, needed_from: u64) {
+        self.made = self.made.split_off(&needed_from);
+        self.made.insert(index, Instant::now());
     }
 
     /// Gives a node's messages to whoever takes them.
@@ -65,7 +74,8 @@ impl Delivery {
             key = key.or(sent.first().filter(|_| !input.latest).map(|sent| sent.key));
             ports.push(Port { name: input.port, queued: input.queued, sent });
         }
-        Some(Frame { key: key?, ports })
+        let key = key?;
+        Some(Frame { key, made: self.made.get(&key.index).copied(), ports })
     }
 
     /// A node has handled a frame, and had what was queued.
@@ -88,6 +98,7 @@ impl Delivery {
 /// What a node gets.
 pub(super) struct Frame {
     pub(super) key: FrameKey,
+    made: Option<Instant>,
     ports: Vec<Port>,
 }
 
@@ -100,6 +111,10 @@ struct Port {
 impl Inputs for Frame {
     fn key(&self) -> FrameKey {
         self.key
+    }
+
+    fn age_ns(&self) -> u64 {
+        self.made.map_or(0, |made| u64::try_from(made.elapsed().as_nanos()).unwrap_or(u64::MAX))
     }
 
     fn bytes(&self, port: &str) -> Option<&[u8]> {

@@ -139,6 +139,8 @@ impl Run {
             Produced::Frame(_) => {
                 outputs.end().map_err(|error| node_error(&self.plan, me, &place, &error.into()))?;
                 seat.summary.frames += 1;
+                let needed_from = self.acknowledged_by_all();
+                self.delivery.made(self.next, needed_from);
                 self.next += 1;
                 self.delivery.pass_on(&self.plan, me, outputs.messages);
             }

@@ -1,0 +1,163 @@
+use crate::{EstimateDetails, EvalError, GateStep};
+use pseudoflow_geometry::pose_from_quaternion;
+use pseudoflow_metrics::Estimate;
+use pseudoflow_msgs::{GateDecision, ObjectPose, PoseSource};
+use pseudoflow_runtime::NodeError;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::Path;
+
+/// What is known of the poses of an image beside them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImageDetails {
+    scene_id: u32,
+    image_id: u32,
+    /// In the order of the result file.
+    poses: Vec<PoseDetails>,
+    gate: Vec<Decision>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseDetails {
+    object_id: u32,
+    instance: u32,
+    /// Row-major 6 x 6 of a refined pose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    covariance: Option<Vec<f64>>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Decision {
+    object_id: u32,
+    instance: u32,
+    accepted: bool,
+    /// Unit quaternion x, y, z, w and metres.
+    before: ([f64; 4], [f64; 3]),
+    after: ([f64; 4], [f64; 3]),
+    evidence: BTreeMap<String, f64>,
+}
+
+impl ImageDetails {
+    pub(super) fn new((scene_id, image_id): (u32, u32), poses: &[ObjectPose], decisions: &[GateDecision]) -> Self {
+        let poses = poses.iter().map(|pose| PoseDetails {
+            object_id: pose.object_id,
+            instance: pose.instance,
+            covariance: (pose.source == PoseSource::Refined as u32).then(|| pose.covariance.to_vec()),
+        });
+        Self { scene_id, image_id, poses: poses.collect(), gate: decisions.iter().map(Decision::new).collect() }
+    }
+
+    /// The gate's decisions on one instance.
+    fn steps(&self, pose: &PoseDetails) -> Result<Vec<GateStep>, EvalError> {
+        let is_its = |d: &&Decision| (d.object_id, d.instance) == (pose.object_id, pose.instance);
+        self.gate.iter().filter(is_its).map(Decision::step).collect()
+    }
+}
+
+impl Decision {
+    fn new(decision: &GateDecision) -> Self {
+        let named = GateDecision::EVIDENCE.into_iter().zip(decision.evidence);
+        Self {
+            object_id: decision.object_id,
+            instance: decision.instance,
+            accepted: decision.accepted != 0,
+            before: (decision.before_rotation_xyzw, decision.before_translation_m),
+            after: (decision.after_rotation_xyzw, decision.after_translation_m),
+            evidence: named.filter(|(_, v)| v.is_finite()).map(|(name, v)| (name.to_owned(), v)).collect(),
+        }
+    }
+
+    fn step(&self) -> Result<GateStep, EvalError> {
+        let pose = |(rotation, translation): &([f64; 4], [f64; 3])| {
+            let read = pose_from_quaternion(rotation, translation);
+            read.map_err(|error| EvalError::DetailsFile { what: format!("object {}: {error}", self.object_id) })
+        };
+        Ok(GateStep {
+            before: pose(&self.before)?,
+            after: pose(&self.after)?,
+            accepted: self.accepted,
+            evidence: self.evidence.clone(),
+        })
+    }
+}
+
+/// Reads the details that a results node wrote, by scene and image; of an image that comes twice (after an interruption) the
+/// last line holds.
+///
+/// # Errors
+/// When the file cannot be read, or a line is no such details.
+pub fn read_details(path: &Path) -> Result<BTreeMap<(u32, u32), ImageDetails>, EvalError> {
+    let error = |what: String| EvalError::DetailsFile { what: format!("{}: {what}", path.display()) };
+    let text = std::fs::read_to_string(path).map_err(|e| error(e.to_string()))?;
+    let line = |(number, line): (usize, &str)| {
+        let details = serde_json::from_str::<ImageDetails>(line);
+        let details = details.map_err(|e| error(format!("line {}: {e}", number + 1)))?;
+        Ok(((details.scene_id, details.image_id), details))
+    };
+    text.lines().enumerate().map(line).collect()
+}
+
+/// What is known of each estimate of a result file, from the details of each pass; the last are those of the file itself.
+///
+/// # Errors
+/// When details and file do not belong together.
+pub fn details_of_estimates(
+    estimates: &[Estimate],
+    passes: &[BTreeMap<(u32, u32), ImageDetails>],
+) -> Result<Vec<EstimateDetails>, EvalError> {
+    let mut all = Vec::with_capacity(estimates.len());
+    let image = |e: &Estimate| (e.scene_id, e.image_id);
+    for of_image in estimates.chunk_by(|a, b| image(a) == image(b)) {
+        let steps: Vec<&ImageDetails> = passes.iter().filter_map(|pass| pass.get(&image(&of_image[0]))).collect();
+        let Some(last) = steps.last().filter(|_| steps.len() == passes.len()) else {
+            all.resize(all.len() + of_image.len(), EstimateDetails::default());
+            continue;
+        };
+        let objects = last.poses.iter().map(|pose| pose.object_id);
+        if !objects.eq(of_image.iter().map(|e| e.object_id)) {
+            let (scene, image) = image(&of_image[0]);
+            return Err(EvalError::DetailsFile {
+                what: format!("scene {scene}, image {image}: details of other poses"),
+            });
+        }
+        for (estimate, pose) in of_image.iter().zip(&last.poses) {
+            let gate: Vec<Vec<GateStep>> = steps.iter().map(|step| step.steps(pose)).collect::<Result<_, _>>()?;
+            all.push(EstimateDetails {
+                confidence: Some(estimate.score),
+                covariance: pose.covariance.as_deref().and_then(|values| values.try_into().ok()),
+                gate: gate.concat(),
+            });
+        }
+    }
+    Ok(all)
+}
+
+/// Writes details line by line.
+pub(super) struct DetailsWriter(File);
+
+impl DetailsWriter {
+    /// Opens the file; one to append to loses a line that was cut off.
+    pub(super) fn open(path: &Path, append: bool) -> Result<Self, NodeError> {
+        let named = |error: std::io::Error| NodeError::from(format!("{}: {error}", path.display()));
+        let mut options = OpenOptions::new();
+        options.create(true);
+        if !append {
+            return Ok(Self(options.write(true).truncate(true).open(path).map_err(named)?));
+        }
+        let file = options.append(true).open(path).map_err(named)?;
+        let text = std::fs::read(path).map_err(named)?;
+        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |at| at + 1);
+        file.set_len(whole as u64).map_err(named)?;
+        Ok(Self(file))
+    }
+
+    pub(super) fn write(&mut self, details: &ImageDetails) -> Result<(), NodeError> {
+        let line = serde_json::to_string(details)? + "\n";
+        Ok(self.0.write_all(line.as_bytes())?)
+    }
+}
