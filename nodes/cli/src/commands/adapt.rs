@@ -71,8 +71,8 @@ pub(crate) struct Args {
     /// where the one motion that explains most votes takes the pixel.
     #[arg(long, default_value = "rigid", value_parser = LABELS)]
     label: String,
-    /// nano, small or paper.
-    #[arg(long, default_value = "nano")]
+    /// The network that the weights belong to: auto (as the weights say), refiner, nano, small or paper.
+    #[arg(long, default_value = "auto")]
     network: String,
     /// Width and height of the crops that the network will see in use, and the student in training, pixels.
     #[arg(long, default_value_t = 128)]

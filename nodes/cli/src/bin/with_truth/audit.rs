@@ -23,8 +23,8 @@ pub(crate) struct Args {
     /// The teacher's weights.
     #[arg(long)]
     weights: PathBuf,
-    /// nano, small or paper.
-    #[arg(long, default_value = "nano")]
+    /// The network that the weights belong to: auto (as the weights say), refiner, nano, small or paper.
+    #[arg(long, default_value = "auto")]
     network: String,
     /// Width and height of the crops, pixels.
     #[arg(long, default_value_t = 256)]

@@ -21,8 +21,8 @@ pub(crate) struct Args {
     /// The weights to write.
     #[arg(long)]
     out: PathBuf,
-    /// nano, small or paper.
-    #[arg(long, default_value = "nano")]
+    /// The network that the weights belong to: auto (as the weights say), refiner, nano, small or paper.
+    #[arg(long, default_value = "auto")]
     network: String,
     /// Training steps.
     #[arg(long, default_value_t = 100)]

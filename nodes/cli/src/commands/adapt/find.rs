@@ -9,6 +9,7 @@ use pseudoflow_geometry::{pose_from_quaternion, rotation_angle_rad};
 use pseudoflow_initializer::{CompareConfig, InitializerConfig};
 use pseudoflow_metrics::{Estimate, ResultsWriter};
 use pseudoflow_msgs::{AlignedBytes, CameraFrame, ObjectPose, ObjectPoses};
+use pseudoflow_network::{FlowNetwork, NetworkConfig};
 use pseudoflow_runtime::{InMemory, Node, Produced, read};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -36,7 +37,9 @@ pub(super) fn find(args: &Args, weights: &Path, folder: &Path) -> Result<PathBuf
     ensure!(weights.is_file(), "`--init {}`: no such file", weights.display());
     let mut player = player_with(args, (None, None))?;
     // The features of the flow network that is to be adapted tell the sides of the objects apart.
-    let compare = (args.network == "nano").then(|| CompareConfig::new(args.weights.clone()));
+    let network = super::super::export::network(&args.network)?.of(&args.weights)?;
+    let is_nano = matches!(&network, FlowNetwork::Raft(raft) if *raft == NetworkConfig::nano());
+    let compare = is_nano.then(|| CompareConfig::new(args.weights.clone()));
     let config = InitializerConfig { compare, ..InitializerConfig::new(weights.to_owned(), args.objects.clone()) };
     let (mut finder, mut refiner) = (Finder::open(config, args.seed)?, pipeline(args, &args.weights)?);
     let part = file.with_extension("csv.part");

@@ -117,7 +117,7 @@ pub(super) fn pipeline(args: &Args, weights: &Path) -> Result<Pipeline> {
                 model: weights.to_owned(),
                 network: super::super::export::network(&args.network)?,
                 size_px: args.size,
-                iterations: Some(12),
+                iterations: None,
                 max_batch: 16,
                 device: args.device,
                 engine: EngineConfig::default(),
