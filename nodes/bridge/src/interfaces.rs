@@ -38,7 +38,9 @@ fn udp_sockets() -> Result<Vec<i32>> {
 /// Port and interface of each.
 #[cfg(test)]
 pub(crate) fn ports() -> Vec<(u16, Option<Vec<u8>>)> {
-    let port = |socket: &SockRef<'_>| Ok(socket.local_addr()?.as_socket_ipv4().map_or(0, |address| address.port()));
+    let port = |socket: &SockRef<'_>| -> Result<u16> {
+        Ok(socket.local_addr()?.as_socket_ipv4().map_or(0, |address| address.port()))
+    };
     let of = |number| with_socket(number, |socket| Ok((port(socket)?, socket.device()?))).ok();
     udp_sockets().unwrap_or_default().into_iter().filter_map(of).collect()
 }
