@@ -3,7 +3,7 @@
 use crate::recordings::*;
 use pseudoflow_msgs::ros::{Detection3DArray, Naming, detections};
 use pseudoflow_player::{InitialPoses, PlayerConfig};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 #[test]
 fn unknown_objects() {
