@@ -23,6 +23,7 @@ pub struct ExtraLoss {
 }
 
 /// Labels on a device, as a network takes them.
+#[allow(clippy::large_enum_variant, reason = "one exists for each step")]
 enum DeviceLabels {
     Raft(DeviceBatch),
     Refiner(DeviceRefinerBatch),
