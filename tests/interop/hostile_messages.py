@@ -34,7 +34,7 @@ def put(path, value):
 def shift(seconds, ns=0):
     def spoil(message):
         stamp = message.header.stamp
-        message.header.stamp = ros.Time(stamp.sec + seconds, stamp.nanosec + ns)
+        message.header.stamp = ros.Time(*divmod((stamp.sec + seconds) * 10**9 + stamp.nanosec + ns, 10**9))
 
     return spoil
 
