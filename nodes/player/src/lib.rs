@@ -6,10 +6,12 @@
 mod bag_pass;
 mod bag_source;
 mod bop_source;
+mod config;
 mod error;
 mod from_bop;
 mod given;
 mod node;
+mod open;
 mod sampling;
 mod several;
 mod source;
@@ -17,8 +19,10 @@ mod targets;
 
 pub use bag_source::{BagOptions, BagSource};
 pub use bop_source::BopSource;
+pub use config::{InitialPoses, PlayerConfig};
 pub use error::PlayerError;
 pub use from_bop::{FromBop, from_bop};
-pub use node::{InitialPoses, PlayerConfig, PlayerNode, open_recording, there_and_back};
+pub use node::{PlayerNode, there_and_back};
+pub use open::open_recording;
 pub use sampling::{Sample, Sampler, Sampling};
 pub use source::{FrameFacts, FrameSource, LoadedFrame};
