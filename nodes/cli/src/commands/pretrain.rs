@@ -3,7 +3,7 @@ use anyhow::{Context as _, Result, bail};
 use pseudoflow_imaging::{RgbImage, save_png};
 use pseudoflow_network::ComputeDevice;
 use pseudoflow_trainer::initializer::{InitializerTraining, scene_sheet, train_initializer};
-use pseudoflow_trainer::pretrain::{Course, PretrainConfig, TerminalProgress, WarmStart, pretrain};
+use pseudoflow_trainer::pretrain::{Course, PretrainConfig, SizeShare, TerminalProgress, WarmStart, pretrain};
 use pseudoflow_trainer::preview_sheet;
 use pseudoflow_trainer::synth::{ObjectPool, SampleGenerator};
 use std::path::{Path, PathBuf};
@@ -60,6 +60,10 @@ pub(crate) struct Args {
     /// Pairs (initializer: images) in a step.
     #[arg(long)]
     batch: Option<usize>,
+    /// Flow: crop sizes to train at, each with how often it comes; a step of larger crops has fewer. RAFT trains at its own size,
+    /// the refiner at 128 and 256:2.
+    #[arg(long, value_delimiter = ',', value_name = "PX[:WEIGHT][,...]")]
+    sizes: Vec<SizeShare>,
     /// Initializer: scenes that are rendered before they are used in changing order; a multiple of `--batch`.
     #[arg(long)]
     block: Option<u64>,
@@ -107,6 +111,7 @@ impl Args {
         config.schedule = self.cool_down.map(|cool_down| Course::Plateau { warm_up: 500, cool_down });
         (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
         config.warm_start = self.warm_start();
+        config.sizes.clone_from(&self.sizes);
         config.only_shippable = self.only_shippable;
         config.backgrounds = picture_folders(&self.backgrounds, &self.out)?;
         if let Some(path) = &self.synth {

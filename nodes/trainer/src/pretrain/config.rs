@@ -33,7 +33,7 @@ pub struct PretrainConfig {
     /// RAFT iterations in training, in place of the network's.
     #[serde(default)]
     pub iterations: Option<usize>,
-    /// Crop sizes to train at; empty for the network's size alone.
+    /// Crop sizes to train at; empty for those of [`PretrainConfig::size_shares`].
     #[serde(default)]
     pub sizes: Vec<SizeShare>,
     /// Weight in the loss of foreground whose point is hidden or outside the crop; visible foreground has 1. The
@@ -117,14 +117,26 @@ pub(crate) fn shipped(path: &str) -> Result<PathBuf, TrainerError> {
     if path.is_file() { Ok(path) } else { Err(TrainerError::NotShipped { path }) }
 }
 
-/// How often a crop size is used.
+/// How often a crop size is used. As text: `256`, or `256:2` with a weight.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SizeShare {
     /// Side of the crop, pixels; a multiple of 8.
     pub size_px: usize,
-    /// Relative frequency.
+    /// Relative frequency in steps. A step has about as many pixels at each size.
     pub weight: f64,
+}
+
+impl std::str::FromStr for SizeShare {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let (size, weight) = text.split_once(':').unwrap_or((text, "1"));
+        match (size.trim().parse(), weight.trim().parse()) {
+            (Ok(size_px), Ok(weight)) => Ok(Self { size_px, weight }),
+            _ => Err(format!("`{text}` is not a crop size; write pixels, or pixels and a weight: 256 or 256:2")),
+        }
+    }
 }
 
 mod defaults {
@@ -225,6 +237,22 @@ impl PretrainConfig {
     /// When the YAML file is bad.
     pub fn network_size_px(&self) -> Result<usize, TrainerError> {
         Ok(self.resolve_network()?.size_px())
+    }
+
+    /// The crop sizes to train at. RAFT trains at the size of its network, the refiner also at twice that, where it is used:
+    /// trained at 128 px alone it goes on improving there and unlearns 256 px (docs/method.md, "Synthetic pre-training").
+    ///
+    /// # Errors
+    /// When the network's YAML file is bad.
+    pub fn size_shares(&self) -> Result<Vec<SizeShare>, TrainerError> {
+        let network = self.resolve_network()?;
+        let own_px = network.size_px();
+        let share = |size_px, weight| SizeShare { size_px, weight };
+        Ok(match (self.sizes.is_empty(), network.is_refiner()) {
+            (false, _) => self.sizes.clone(),
+            (true, true) => vec![share(own_px, 1.0), share(2 * own_px, 2.0)],
+            (true, false) => vec![share(own_px, 1.0)],
+        })
     }
 
     /// The weights file to start from, or `None` for random weights.

@@ -93,13 +93,13 @@ pub(crate) fn push_planes(planes: &mut Vec<f32>, image: &RgbImage) {
 /// Crop size and number of pairs of a step; a function of the configuration and the step.
 #[cfg(test)]
 pub(crate) fn plan(config: &PretrainConfig, network_size_px: usize, step: u64) -> (usize, usize) {
-    Schedule::new(config, network_size_px).plan(step)
+    Schedule::new(config, network_size_px).unwrap().plan(step)
 }
 
 /// For each of the first steps, the scenes and pairs that it uses.
 #[cfg(test)]
 pub(crate) fn uses(config: &PretrainConfig, network_size_px: usize, steps: u64) -> Vec<Vec<(u64, usize)>> {
-    let schedule = Schedule::new(config, network_size_px);
+    let schedule = Schedule::new(config, network_size_px).unwrap();
     let of = |step| schedule.pairs(step).iter().map(|(scene, pair)| (scene.index(), *pair)).collect();
     (0..steps).map(of).collect()
 }
@@ -122,14 +122,21 @@ const PARTS: u64 = 2;
 const INDICES_PER_BLOCK: u64 = 65_536;
 
 impl Schedule {
-    pub(crate) fn new(config: &PretrainConfig, network_size_px: usize) -> Self {
-        Self {
-            sizes: config.sizes.clone(),
+    pub(crate) fn new(config: &PretrainConfig, network_size_px: usize) -> Result<Self, TrainerError> {
+        Ok(Self {
+            sizes: config.size_shares()?,
             network_size_px,
             batch: config.batch,
             seed: config.seed,
             pairs_per_scene: config.synth.pairs_per_scene as u64,
-        }
+        })
+    }
+
+    /// Pairs of the first steps together.
+    pub(crate) fn pairs_until(&self, steps: u64) -> u64 {
+        let each = self.steps_per_block();
+        let of_block = |block: u64| each.min(steps - block * each) * self.plan_of_block(block).1 as u64;
+        (0..steps.div_ceil(each)).map(of_block).sum()
     }
 
     fn steps_per_block(&self) -> u64 {
@@ -228,8 +235,8 @@ impl Prefetch {
         size_px: usize,
         geometry: bool,
         first: u64,
-    ) -> Self {
-        let schedule = Schedule::new(config, size_px);
+    ) -> Result<Self, TrainerError> {
+        let schedule = Schedule::new(config, size_px)?;
         let block = first / schedule.steps_per_block();
         let state = State {
             block,
@@ -257,7 +264,7 @@ impl Prefetch {
             })
         };
         let threads = (0..config.data_threads).map(spawn).collect();
-        Self { shared, schedule, hidden_weight: config.hidden_weight as f32, geometry, first, threads }
+        Ok(Self { shared, schedule, hidden_weight: config.hidden_weight as f32, geometry, first, threads })
     }
 
     /// The batch of the `nth` step since the start. Steps must be asked for in order.

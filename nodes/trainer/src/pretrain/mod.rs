@@ -139,7 +139,7 @@ fn train<M: PairNetwork>(
     validation.resume(config, first)?;
     progress.start(first, config.steps);
     let (start, size_px) = (Instant::now(), run.state.network.size_px());
-    let prefetch = Prefetch::start(&generator, config, size_px, M::TAKES_GEOMETRY, first);
+    let prefetch = Prefetch::start(&generator, config, size_px, M::TAKES_GEOMETRY, first)?;
     let mut pairs = 0;
     while run.state.step() < config.steps && !progress.should_stop() {
         let batch = prefetch.next(run.state.step() - first)?;

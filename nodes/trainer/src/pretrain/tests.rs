@@ -95,3 +95,26 @@ fn every_pair_of_a_scene_is_used_once_and_a_batch_shows_different_scenes() {
         assert!(batch.iter().all(|use_of| seen.insert(*use_of)), "a pair is used twice");
     }
 }
+
+#[test]
+fn the_refiner_trains_at_the_sizes_that_it_is_used_at() {
+    let of = |network: &str| PretrainConfig::new(vec!["m".into()], network, "w.safetensors".into()).size_shares();
+    let px = |shares: Vec<SizeShare>| shares.iter().map(|share| share.size_px).collect::<Vec<_>>();
+    assert_eq!(px(of("refiner").unwrap()), [128, 256]);
+    assert_eq!(px(of("nano").unwrap()), [128]);
+    assert_eq!("256:2".parse(), Ok(SizeShare { size_px: 256, weight: 2.0 }));
+    assert_eq!("192".parse(), Ok(SizeShare { size_px: 192, weight: 1.0 }));
+    assert!("256:two".parse::<SizeShare>().unwrap_err().contains("256:two"));
+}
+
+#[test]
+fn pairs_are_counted_at_each_size() {
+    let mut config = tiny(tempfile::tempdir().unwrap().path());
+    config.network = "nano".to_owned();
+    config.sizes = vec![SizeShare { size_px: 128, weight: 1.0 }, SizeShare { size_px: 256, weight: 1.0 }];
+    config.batch = 8;
+    let schedule = data::Schedule::new(&config, 128).unwrap();
+    let counted: u64 = (0..100).map(|step| data::plan(&config, 128, step).1 as u64).sum();
+    assert_eq!(schedule.pairs_until(100), counted);
+    assert!(counted > 200 && counted < 800, "{counted}");
+}

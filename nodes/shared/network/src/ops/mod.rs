@@ -2,6 +2,7 @@
 //!
 //! Both forms are differentiable and equal up to rounding; the tests hold them together.
 
+mod columns;
 mod extension;
 pub(crate) mod stock;
 #[cfg(test)]
@@ -62,7 +63,7 @@ pub struct ConvSpec {
 /// Convolution: x (N, C, H, W), w (O, C, kh, kw), b (O) to (N, O, H', W').
 pub fn conv2d(x: Tensor<4>, w: Tensor<4>, b: Tensor<1>, spec: ConvSpec) -> Tensor<4> {
     if !has_kernels(&x.device()) {
-        return stock::conv2d(x, w, b, spec);
+        return columns::conv2d(x, w, b, spec);
     }
     run3(x, w, b, kernels::Conv { stride: spec.stride, pad: spec.pad, relu: spec.relu })
 }
@@ -93,7 +94,7 @@ pub fn conv3x3(x: Tensor<4>, prepared: &Prepared3x3, relu: bool) -> Tensor<4> {
     let (weight, bias) = (prepared.weight.clone(), prepared.bias.clone());
     match &prepared.transformed {
         Some(transformed) => run3(x, weight, bias, kernels::WinogradConv { transformed: transformed.clone(), relu }),
-        None => stock::conv2d(x, weight, bias, ConvSpec { stride: 1, pad: [1, 1], relu }),
+        None => columns::conv2d(x, weight, bias, ConvSpec { stride: 1, pad: [1, 1], relu }),
     }
 }
 

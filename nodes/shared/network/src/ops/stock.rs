@@ -1,12 +1,15 @@
 //! The same operations from burn's stock ones: for GPU devices, and the reference in the kernels' tests.
 
+#[cfg(test)]
 use super::ConvSpec;
 use crate::kernels::{MAX_LOG_SCALE, SURE_SCALE_PX};
 use burn::tensor::activation::{relu, sigmoid, softmax, softplus};
-use burn::tensor::module;
-use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Tensor, TensorData};
+#[cfg(test)]
+use burn::tensor::{module, ops::ConvOptions};
 
+/// burn's own convolution; GPUs use [`super::columns`].
+#[cfg(test)]
 pub(super) fn conv2d(x: Tensor<4>, w: Tensor<4>, b: Tensor<1>, spec: ConvSpec) -> Tensor<4> {
     let options = ConvOptions::new([spec.stride; 2], spec.pad, [1, 1], 1);
     let y = module::conv2d(x, w, Some(b), options);

@@ -90,6 +90,31 @@ fn convolutions_equal_stock() {
 }
 
 #[test]
+fn convolutions_of_gpus_equal_stock() {
+    let cases = [
+        ([2, 3, 11, 9], [5, 3, 7, 7], 2, [3, 3]),
+        ([2, 8, 10, 12], [4, 8, 1, 1], 1, [0, 0]),
+        ([3, 6, 9, 8], [4, 6, 1, 1], 2, [0, 0]),
+        ([2, 4, 9, 10], [6, 4, 3, 3], 2, [1, 1]),
+        ([1, 4, 6, 7], [3, 4, 1, 5], 1, [0, 2]),
+        ([1, 4, 6, 7], [3, 4, 5, 1], 1, [2, 0]),
+    ];
+    for (i, (xs, ws, stride, pad)) in cases.into_iter().enumerate() {
+        for relu in [false, true] {
+            let (x, w, b) = (random(xs, 1), random(ws, 2), random([ws[0]], 3));
+            let spec = ConvSpec { stride, pad, relu };
+            let ours = columns::conv2d(x.clone(), w.clone(), b.clone(), spec);
+            let theirs = stock::conv2d(x.clone(), w.clone(), b.clone(), spec);
+            assert_close(&format!("conv {i}"), &values(ours.clone()), &values(theirs.clone()), 1e-4);
+            let (ours, theirs) = (weigh(ours).backward(), weigh(theirs).backward());
+            assert_close(&format!("dx {i}"), &grad_of(&x, &ours), &grad_of(&x, &theirs), 1e-4);
+            assert_close(&format!("dw {i}"), &grad_of(&w, &ours), &grad_of(&w, &theirs), 2e-4);
+            assert_close(&format!("db {i}"), &grad_of(&b, &ours), &grad_of(&b, &theirs), 1e-4);
+        }
+    }
+}
+
+#[test]
 fn convolution_gradients_equal_differences() {
     let (x, w, b) = (random([2, 3, 7, 6], 1), random([4, 3, 3, 3], 2), random([4], 3));
     let spec = ConvSpec { stride: 2, pad: [1, 1], relu: false };
