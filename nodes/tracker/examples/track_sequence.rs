@@ -163,7 +163,7 @@ fn main() {
                 waiting.push(found(
                     t.object_id,
                     true_pose(&t.camera_from_object),
-                    CorrectionKind::Look { accepted: true },
+                    CorrectionKind::Look { accepted: true, score: 1.0 },
                 ));
             }
             scored.push(Scored {

@@ -16,7 +16,7 @@ pub struct TrackerNodeConfig {
     /// Folder in which contour models are kept; without, in the system's folder for temporary files.
     #[serde(default)]
     pub contours: Option<PathBuf>,
-    /// Looks of the network with a smaller score are not used, 0..1.
+    /// Score from which a look of the network says that its pose is right, 0..1.
     #[serde(default = "default_look_score")]
     pub look_score: f64,
     /// In replay a look at a frame is used this many frames later.
@@ -31,7 +31,7 @@ pub struct TrackerNodeConfig {
 }
 
 fn default_look_score() -> f64 {
-    0.3
+    0.7
 }
 
 fn default_look_delay() -> u64 {

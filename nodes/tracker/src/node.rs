@@ -46,6 +46,9 @@ impl TrackerNode {
         let (header, key) = (frame.header, inputs.key());
         self.looks.absorb(inputs, self.replay)?;
         self.found.absorb(inputs, self.replay)?;
+        if inputs.is_connected("looks") {
+            self.tracker.expect_looks();
+        }
         let corrections = self.corrections(key.index);
         let [fx, fy, cx, cy] = header.intrinsics;
         let rgb = image_of_bytes(frame.rgb, header.width as usize, header.height as usize)?;
@@ -108,7 +111,7 @@ fn pose(e: &Estimate) -> Option<ObjectPose> {
 #[must_use]
 pub fn looked(frame: u64, pose: &ObjectPose, least: f64) -> Option<Correction> {
     let better = pose.source == PoseSource::Refined as u32 && pose.status() == Some(PoseStatus::Ok);
-    correction(frame, pose, CorrectionKind::Look { accepted: better && pose.score >= least })
+    correction(frame, pose, CorrectionKind::Look { accepted: better && pose.score >= least, score: pose.score })
 }
 
 fn correction(frame: u64, p: &ObjectPose, kind: CorrectionKind) -> Option<Correction> {

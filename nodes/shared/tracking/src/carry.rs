@@ -38,18 +38,47 @@ impl Tracker {
                 continue;
             };
             if self.near(i, &own.pose, &trial.pose) {
+                self.heard(i, correction, true);
                 continue;
             }
             let (own, trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
             let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
             if search && (trial.confidence > own.confidence || given_up) {
+                let mut others = std::mem::take(&mut self.tracks[i].others);
+                others.push(own.pose);
                 best = Some(self.begin(i, now, trial));
-            } else if !search && self.prefers(&own, &trial, correction, self.tracks[i].phase == Phase::Tracking) {
-                self.jump(i, &own.pose, &trial.pose);
-                best = Some(trial);
+                self.tracks[i].others = others;
+            } else if search && self.tracks[i].others.len() < MOST_OTHERS {
+                self.tracks[i].others.push(trial.pose);
+            } else if !search {
+                let taken = self.takes_look(i, &own, &trial, correction);
+                self.heard(i, correction, taken);
+                if taken {
+                    self.jump(i, &own.pose, &trial.pose);
+                    best = Some(trial);
+                }
             }
         }
         best
+    }
+
+    /// A look that says that it is right goes before a track of which none has said so.
+    fn takes_look(&self, i: usize, own: &Trial, look: &Trial, correction: &Correction) -> bool {
+        let accepted = matches!(correction.kind, CorrectionKind::Look { accepted: true, .. });
+        let first = accepted && !self.tracks[i].verified && look.evidence.seen() >= self.config.min_seen;
+        first || self.prefers(own, look, correction, self.tracks[i].phase == Phase::Tracking)
+    }
+
+    /// What a look says of the track: `there` is whether the track is where the look is.
+    fn heard(&mut self, i: usize, correction: &Correction, there: bool) {
+        let CorrectionKind::Look { accepted, score } = correction.kind else { return };
+        let track = &mut self.tracks[i];
+        if accepted && there {
+            (track.verified, track.doubts) = (true, 0);
+        } else if track.measured && (accepted || score < self.config.doubtful_score) {
+            // What is hidden cannot be looked at, which says nothing of its pose.
+            track.doubts += 1;
+        }
     }
 
     /// A pose that others have found, in this frame.
@@ -135,7 +164,7 @@ impl Tracker {
     pub(crate) fn prefers(&self, own: &Trial, other: &Trial, correction: &Correction, tracked: bool) -> bool {
         let (before, after) = (own.evidence.of_contour(), other.evidence.of_contour());
         let enough = other.evidence.seen() >= self.config.min_seen;
-        let trusted = correction.kind == CorrectionKind::Look { accepted: true } || !tracked;
+        let trusted = matches!(correction.kind, CorrectionKind::Look { accepted: true, .. }) || !tracked;
         let sure = other.confidence >= self.config.min_confidence;
         if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure)
         {
@@ -147,13 +176,15 @@ impl Tracker {
             return gain > 0.0 && enough;
         }
         match correction.kind {
-            CorrectionKind::Look { accepted: true } => enough && after > before - LOOK_BONUS,
-            CorrectionKind::Look { accepted: false } => enough && after > before + LOOK_BONUS,
+            CorrectionKind::Look { accepted: true, .. } => enough && after > before - LOOK_BONUS,
+            CorrectionKind::Look { accepted: false, .. } => enough && after > before + LOOK_BONUS,
             CorrectionKind::Found => enough && after > before,
         }
     }
 }
 
+/// Other poses of what was found that are looked at.
+const MOST_OTHERS: usize = 3;
 /// How much less sure a contour may be of a pose that a look has found: a look sees what is inside of it.
 const LOOK_BONUS: f64 = 0.2;
 /// Contrast (as in the evidence) from which renderings tell poses apart, and the difference of correlations that does.

@@ -65,6 +65,10 @@ pub struct TrackingConfig {
     pub look_ms: f64,
     /// Looks that may be on their way at a time.
     pub looks_at_once: usize,
+    /// A look with a smaller score speaks against the pose that it began from, 0..1.
+    pub doubtful_score: f64,
+    /// So many looks in a row that speak against an object that is seen end its track: it is searched for anew.
+    pub doubtful_looks: u32,
     /// Covariances are those of the normal equations times this.
     pub covariance_scale: f64,
 }
@@ -91,6 +95,8 @@ impl Default for TrackingConfig {
             budget_ms: 10.0,
             look_ms: 30.0,
             looks_at_once: 2,
+            doubtful_score: 0.5,
+            doubtful_looks: 2,
             covariance_scale: 1.0,
         }
     }
@@ -124,6 +130,8 @@ impl TrackingConfig {
             ("min_seen", self.min_seen, share(self.min_seen), "0 to 1"),
             ("learn_seen", self.learn_seen, share(self.learn_seen), "0 to 1"),
             ("min_confidence", self.min_confidence, share(self.min_confidence), "0 to 1"),
+            ("doubtful_score", self.doubtful_score, share(self.doubtful_score), "0 to 1"),
+            ("doubtful_looks", f64::from(self.doubtful_looks), self.doubtful_looks > 0, "1 or more"),
             ("lose_confidence", self.lose_confidence, share(self.lose_confidence), "0 to 1"),
             ("look_every_s", self.look_every_s, self.look_every_s > 0.0, "positive"),
             ("look_again_s", self.look_again_s, self.look_again_s > 0.0, "positive"),

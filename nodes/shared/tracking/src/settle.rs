@@ -3,7 +3,7 @@
 use crate::follow::{hiders, poses_of, subject};
 use crate::history::Moment;
 use crate::measure::Trial;
-use crate::track::Phase;
+use crate::track::{Phase, Track};
 use crate::tracker::{Now, Tracker};
 use nalgebra::Matrix6;
 use pseudoflow_geometry::Pose;
@@ -28,10 +28,15 @@ impl Tracker {
             false => self.hold(i, now, predicted),
         }
         let (hold_s, lose_confidence) = (self.config.hold_s, self.config.lose_confidence);
+        let doubtful_looks = self.config.doubtful_looks;
         let track = &mut self.tracks[i];
         if track.phase != Phase::Tracking && trial.evidence.lines > 0.0 {
             // Nobody believes its pose yet, so nothing is lost by a step of little evidence.
             track.pose = trial.pose;
+        }
+        if track.doubts >= doubtful_looks {
+            *track = Track { phase: track.gone(), ..Track::new(track.object) };
+            return;
         }
         if trial.confidence >= lose_confidence || !track.measured {
             track.sure_ns = now.frame.stamp_ns;
@@ -43,7 +48,7 @@ impl Tracker {
     }
 
     pub(crate) fn take(&mut self, i: usize, now: &Now<'_>, trial: &Trial, trials: &[Option<Trial>]) {
-        let sure = trial.evidence.seen() >= self.config.learn_seen;
+        let (sure, looks_come) = (trial.evidence.seen() >= self.config.learn_seen, self.looks_come);
         let track = &mut self.tracks[i];
         if track.measured && track.good > 0 {
             track.velocity.learn(&track.pose, &trial.pose, now.gap_s, self.config.velocity_gain);
@@ -53,7 +58,7 @@ impl Tracker {
         track.covariance = inverse(&trial.information) * self.config.covariance_scale;
         track.learnt = sure;
         let often = track.good >= CONFIRM_FRAMES || track.good > 1 && trial.confidence >= CONFIRM_CONFIDENCE;
-        if often && trial.confidence >= self.config.min_confidence {
+        if often && trial.confidence >= self.config.min_confidence && (track.verified || !looks_come) {
             track.phase = Phase::Tracking;
         }
         if sure || track.colours.is_empty() {

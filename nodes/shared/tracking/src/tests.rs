@@ -150,6 +150,61 @@ fn a_jump_in_time_and_another_camera_are_survived() {
     assert!(tracker.tracks[0].keyframes.len() <= 1, "textures of the other camera are gone");
 }
 
+/// What a look says of a frame's true pose.
+fn look(frame: u64, accepted: bool, score: f64) -> Correction {
+    let camera_from_object = truth(frame);
+    Correction { object_id: 4, frame, camera_from_object, kind: CorrectionKind::Look { accepted, score } }
+}
+
+#[test]
+fn where_looks_are_answered_only_what_one_confirms_becomes_a_track() {
+    let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
+    tracker.expect_looks();
+    for i in 0..12 {
+        let seen = step(&mut tracker, i, &picture(i, false), &if i == 0 { vec![found(0)] } else { Vec::new() });
+        assert_eq!(seen.estimates[0].phase, Phase::Searching, "frame {i}");
+    }
+    let seen = step(&mut tracker, 12, &picture(12, false), &[look(11, true, 0.9)]);
+    assert_eq!(seen.estimates[0].phase, Phase::Tracking);
+}
+
+#[test]
+fn looks_that_speak_against_a_track_end_it() {
+    let mut tracker = started(12);
+    let seen = step(&mut tracker, 12, &picture(12, false), &[look(11, false, 0.1)]);
+    assert_eq!(seen.estimates[0].phase, Phase::Tracking, "one may be wrong");
+    let seen = step(&mut tracker, 13, &picture(13, false), &[look(12, false, 0.1)]);
+    assert!(seen.estimates.is_empty(), "nothing is known of it: {:?}", seen.estimates);
+    assert_eq!(tracker.missing(), [4]);
+}
+
+#[test]
+fn looks_at_what_is_hidden_say_nothing() {
+    let mut tracker = started(12);
+    for i in 12..16 {
+        let seen = step(&mut tracker, i, &picture(i, true), &[look(i - 1, false, 0.1)]);
+        // The first of them is of a frame that showed it.
+        assert_eq!(seen.estimates[0].phase, Phase::Tracking, "frame {i}");
+    }
+}
+
+#[test]
+fn all_poses_that_something_was_found_at_are_looked_at() {
+    let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
+    tracker.expect_looks();
+    let turned = |by: f64| {
+        let off = Vector6::new(0.0, 0.0, 0.0, 0.0, by, 0.0);
+        Correction { camera_from_object: retract(&truth(0), &off), ..found(0) }
+    };
+    step(&mut tracker, 0, &picture(0, false), &[turned(0.0), turned(1.2), turned(-1.2)]);
+    let asked = (1..4).find_map(|i| {
+        let looks = tracker.ask();
+        step(&mut tracker, i, &picture(i, false), &[]);
+        (!looks.is_empty()).then_some(looks)
+    });
+    assert_eq!(asked.map(|looks| looks.len()), Some(3));
+}
+
 #[test]
 fn a_tracker_needs_an_object() {
     assert!(Tracker::new(Vec::new(), TrackingConfig::default()).is_err());

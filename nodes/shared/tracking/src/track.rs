@@ -54,6 +54,12 @@ pub(crate) struct Track {
     pub(crate) compared_at: u64,
     /// Where those at rest say that it is, when this frame does not show it surely.
     pub(crate) resting: Option<Pose>,
+    /// Other poses of what was found, in the last frame: to be looked at once with its own.
+    pub(crate) others: Vec<Pose>,
+    /// Whether a look has said that its pose is right.
+    pub(crate) verified: bool,
+    /// Looks in a row that spoke against it.
+    pub(crate) doubts: u32,
     /// When a look was asked for that has not come back.
     pub(crate) asked_ns: Option<i64>,
     /// When a look was last asked for.
@@ -87,10 +93,18 @@ impl Track {
             likeness: None,
             compared_at: 0,
             resting: None,
+            others: Vec::new(),
+            verified: false,
+            doubts: 0,
             asked_ns: None,
             looked_ns: None,
             evidence: Evidence::default(),
         }
+    }
+
+    /// The phase of an object that turns out not to be where it was followed.
+    pub(crate) fn gone(&self) -> Phase {
+        if self.phase == Phase::Searching { Phase::Searching } else { Phase::Lost }
     }
 
     /// Seconds since it was last measured.

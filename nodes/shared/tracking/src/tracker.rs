@@ -31,6 +31,8 @@ pub struct Tracker {
     pub(crate) recent: VecDeque<u64>,
     camera: Option<((u32, u32), Intrinsics)>,
     budget: Budget,
+    /// Whether looks are answered: what was found then counts from the first that says that it is right.
+    pub(crate) looks_come: bool,
 }
 
 impl Tracker {
@@ -54,6 +56,7 @@ impl Tracker {
             recent: VecDeque::new(),
             camera: None,
             budget: Budget::default(),
+            looks_come: false,
         })
     }
 
@@ -132,16 +135,25 @@ impl Tracker {
         track.velocity.predict(&track.pose, gap_s.min(self.config.longest_gap_s))
     }
 
-    /// The looks that are wanted of a network at the last frame; they count as asked for.
+    /// Says that the looks that are asked for will be answered. What was found is then followed, but no track, until a look has said
+    /// that its pose is right.
+    pub fn expect_looks(&mut self) {
+        self.looks_come = true;
+    }
+
+    /// The looks that are wanted of a network at the last frame; they count as asked for. An object that was just found may come
+    /// several times, at each pose that it was found at: the answer is the best of them.
     pub fn ask(&mut self) -> Vec<Look> {
         let Some((_, now_ns)) = self.last else { return Vec::new() };
         let wanted = self.budget.spend(looks::wanted(&self.tracks, now_ns, &self.config), &self.config);
         let ask = |i: usize| {
             let track = &mut self.tracks[i];
             (track.asked_ns, track.looked_ns) = (Some(now_ns), Some(now_ns));
-            Look { object_id: self.objects[track.object].id, camera_from_object: track.pose }
+            let object_id = self.objects[track.object].id;
+            let poses = std::iter::once(track.pose).chain(std::mem::take(&mut track.others));
+            poses.map(|camera_from_object| Look { object_id, camera_from_object }).collect::<Vec<_>>()
         };
-        wanted.into_iter().map(ask).collect()
+        wanted.into_iter().flat_map(ask).collect()
     }
 
     /// Every object that was ever found.

@@ -43,6 +43,8 @@ pub enum CorrectionKind {
     Look {
         /// Whether the look was judged better than the pose that it began from, or that pose right.
         accepted: bool,
+        /// Probability that the pose of the look is right, 0..1.
+        score: f64,
     },
 }
 

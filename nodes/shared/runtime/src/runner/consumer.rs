@@ -67,11 +67,21 @@ impl<N: Node> Runner<'_, N> {
         self.intake.join.first_complete(*next)
     }
 
+    /// The newest whole frame that asks for work: one without objects must not push another aside that has some.
     fn pick_newest(&mut self) -> Option<u64> {
-        let index = self.intake.join.last_complete()?;
+        let whole = self.intake.join.complete_newest_first();
+        let index = whole.iter().copied().find(|index| self.has_work(*index)).or(whole.first().copied())?;
         let passed = self.intake.join.drop_below(index);
         self.launch.board.add(self.launch.me, Word::Drops, passed);
         Some(index)
+    }
+
+    fn has_work(&mut self, index: u64) -> bool {
+        let Some(frame) = self.intake.take(index) else { return false };
+        let empty = N::objects(&frame) == Some(0);
+        let messages = frame.into_messages();
+        self.intake.put_back(index, messages);
+        !empty
     }
 
     fn handle(&mut self, index: u64, next: &mut u64) -> Result<bool, RunError> {

@@ -51,9 +51,9 @@ impl<M> Join<M> {
         Some((index, message))
     }
 
-    /// The last frame that is whole.
-    pub(super) fn last_complete(&self) -> Option<u64> {
-        self.complete().next_back()
+    /// The frames that are whole.
+    pub(super) fn complete_newest_first(&self) -> Vec<u64> {
+        self.complete().rev().collect()
     }
 
     /// Takes a whole frame out.
@@ -72,10 +72,13 @@ mod tests {
         join.insert(4, 0, "4a");
         join.insert(5, 0, "5a");
         join.insert(5, 1, "5b");
-        assert_eq!((join.first_complete(9), join.first_complete(4), join.last_complete()), (Some(5), None, Some(5)));
+        assert_eq!(
+            (join.first_complete(9), join.first_complete(4), join.complete_newest_first()),
+            (Some(5), None, vec![5])
+        );
         join.insert(4, 0, "another 4a");
         join.insert(4, 1, "4b");
-        assert_eq!((join.first_complete(9), join.last_complete()), (Some(4), Some(5)));
+        assert_eq!((join.first_complete(9), join.complete_newest_first()), (Some(4), vec![5, 4]));
         assert_eq!(join.take(4), Some(vec!["4a", "4b"]));
         assert_eq!((join.drop_below(6), join.first_complete(9)), (1, None));
     }
@@ -87,8 +90,8 @@ mod tests {
             join.insert(index, 0, ());
         }
         join.insert(2, 1, ());
-        assert_eq!(join.last_complete(), Some(2));
+        assert_eq!(join.complete_newest_first(), [2]);
         assert_eq!(join.drop_below(10), 1, "one was whole");
-        assert_eq!(join.last_complete(), None);
+        assert_eq!(join.complete_newest_first(), []);
     }
 }
