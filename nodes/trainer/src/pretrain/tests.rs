@@ -77,9 +77,9 @@ fn larger_crops_come_in_smaller_batches() {
     let mut config = tiny(folder.path());
     config.batch = 4;
     config.sizes = vec![SizeShare { size_px: 256, weight: 1.0 }];
-    assert_eq!(data::plan(&config, 128, 3), (256, 1));
+    assert_eq!(data::plan(&config, 64, 3), (256, 1));
     config.sizes.clear();
-    assert_eq!(data::plan(&config, 128, 3), (128, 4));
+    assert_eq!(data::plan(&config, 64, 3), (64, 4));
 }
 
 #[test]
