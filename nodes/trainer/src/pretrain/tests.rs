@@ -75,11 +75,12 @@ fn errors_come_before_anything_is_written() {
 fn larger_crops_come_in_smaller_batches() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = tiny(folder.path());
+    config.network = "nano".to_owned();
     config.batch = 4;
     config.sizes = vec![SizeShare { size_px: 256, weight: 1.0 }];
-    assert_eq!(data::plan(&config, 64, 3), (256, 1));
+    assert_eq!(data::plan(&config, 128, 3), (256, 1));
     config.sizes.clear();
-    assert_eq!(data::plan(&config, 64, 3), (64, 4));
+    assert_eq!(data::plan(&config, 128, 3), (128, 4));
 }
 
 #[test]
