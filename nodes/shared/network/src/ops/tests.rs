@@ -65,8 +65,11 @@ fn weighed<const D: usize>(y: Tensor<D>) -> f64 {
 
 type Convolution = fn(Tensor<4>, Tensor<4>, Tensor<1>, ConvSpec) -> Tensor<4>;
 
-/// Compares a convolution with burn's own, with and without ReLU: shapes of x and w, stride and padding.
-fn assert_equals_stock(convolution: Convolution, cases: &[([usize; 4], [usize; 4], usize, [usize; 2])]) {
+/// Shapes of x and w, stride and padding.
+type Case = ([usize; 4], [usize; 4], usize, [usize; 2]);
+
+/// Compares a convolution with burn's own, with and without ReLU.
+fn assert_equals_stock(convolution: Convolution, cases: &[Case]) {
     for (i, (xs, ws, stride, pad)) in cases.iter().copied().enumerate() {
         for relu in [false, true] {
             let (x, w, b) = (random(xs, 1), random(ws, 2), random([ws[0]], 3));
