@@ -5,6 +5,7 @@
 //! | `frame` | in, joined | the camera |
 //! | `found` | in, late | poses that a search has found, keyed by the frame they were found in, of any age |
 //! | `looks` | in, late | poses from pnp for the frame whose look was asked for |
+//! | `search` | in, latest | live: what the search says of each object; passed on for those that it cannot look for yet |
 //! | `poses` | out | every object that is followed: measured, or predicted (`PoseSource::Tracked`) |
 //! | `requests` | out | initial poses for the renderer: the objects for which a look at this frame is asked |
 //! | `wanted` | out | which objects should be searched for |

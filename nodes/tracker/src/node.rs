@@ -9,7 +9,7 @@ use pseudoflow_msgs::{
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
 use pseudoflow_tracking::{
-    Correction, CorrectionKind, Estimate, Frame, FrameProblem, KnownObject, Look, Phase, Tracker,
+    Correction, CorrectionKind, Estimate, Frame, FrameProblem, KnownObject, Look, Phase, Step, Tracker,
 };
 use std::collections::VecDeque;
 
@@ -65,8 +65,24 @@ impl TrackerNode {
             poses: step.estimates.iter().filter_map(pose).collect(),
             requests: looks.iter().map(request).collect(),
             wanted: self.tracker.missing(),
-            statuses: self.ids.iter().map(|id| status(*id, &step.estimates, step.problem)).collect(),
+            statuses: self.statuses(inputs, &step)?,
         })
+    }
+
+    /// Where each object stands. What the search cannot look for yet is said in the search's own words.
+    fn statuses(&self, inputs: &dyn Inputs, step: &Step) -> Result<Vec<ObjectStatus>, NodeError> {
+        let searched = match inputs.bytes("search") {
+            Some(_) => read::<ObjectStatuses<'static>>(inputs, "search")?.statuses,
+            None => &[],
+        };
+        let preparing = |own: &ObjectStatus| {
+            let prepares = |s: &&ObjectStatus| {
+                s.object_id == own.object_id && s.reason == TrackReason::Preparing as u32
+            };
+            searched.iter().find(prepares).filter(|_| own.reason == TrackReason::NotFound as u32).copied()
+        };
+        let own = self.ids.iter().map(|id| status(*id, &step.estimates, step.problem));
+        Ok(own.map(|own| preparing(&own).unwrap_or(own)).collect())
     }
 
     /// What others have found and what is to be used in a frame.
@@ -188,6 +204,7 @@ impl Node for TrackerNode {
             PortSpec::required::<CameraFrame<'static>>("frame"),
             PortSpec::late::<ObjectPoses<'static>>("found"),
             PortSpec::late::<ObjectPoses<'static>>("looks"),
+            PortSpec::latest::<ObjectStatuses<'static>>("search"),
         ]
     }
 

@@ -1,8 +1,8 @@
 //! The tracker node in memory: what it waits for in replay, what it sends, and that it repeats itself.
 
 use pseudoflow_msgs::{
-    AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, Message, ObjectPose, ObjectPoses, ObjectStatuses,
-    TrackReason, Wanted,
+    AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, Message, ObjectPose, ObjectPoses, ObjectStatus,
+    ObjectStatuses, TrackPhase, TrackReason, Wanted,
 };
 use pseudoflow_runtime::{Context, InMemory, Inputs, Node};
 use pseudoflow_tracker::{TrackerNode, TrackerNodeConfig};
@@ -13,6 +13,7 @@ struct Arrived {
     key: FrameKey,
     frame: AlignedBytes,
     looks: Vec<(FrameKey, AlignedBytes)>,
+    search: Option<AlignedBytes>,
 }
 
 impl Inputs for Arrived {
@@ -21,7 +22,11 @@ impl Inputs for Arrived {
     }
 
     fn bytes(&self, port: &str) -> Option<&[u8]> {
-        (port == "frame").then_some(&*self.frame)
+        match port {
+            "frame" => Some(&*self.frame),
+            "search" => self.search.as_deref(),
+            _ => None,
+        }
     }
 
     fn late(&self, port: &str) -> Vec<(FrameKey, &[u8])> {
@@ -55,7 +60,7 @@ fn frame(index: u64, looks: &[(u64, Vec<ObjectPose>)]) -> Arrived {
         ObjectPoses::write(&mut bytes, 1, *of as u32, poses);
         (key(*of), bytes)
     };
-    Arrived { key: key(index), frame: bytes, looks: looks.iter().map(message).collect() }
+    Arrived { key: key(index), frame: bytes, looks: looks.iter().map(message).collect(), search: None }
 }
 
 fn config() -> TrackerNodeConfig {
@@ -72,6 +77,31 @@ fn sent(node: &mut TrackerNode, arrived: &Arrived) -> InMemory {
     let mut out = InMemory::new(arrived.key);
     node.process(arrived, &mut out, &context(true)).unwrap();
     out
+}
+
+#[test]
+fn what_cannot_be_searched_for_yet_is_said() {
+    let mut node = TrackerNode::create(config(), &context(false)).unwrap();
+    let reason = |node: &mut TrackerNode, index, reason: TrackReason| {
+        let said = ObjectStatus {
+            object_id: 7,
+            instance: 0,
+            phase: TrackPhase::Searching as u32,
+            reason: reason as u32,
+            good_frames: 0,
+            bad_frames: 0,
+            score: 0.25,
+        };
+        let mut bytes = AlignedBytes::zeroed(ObjectStatuses::byte_len(1));
+        ObjectStatuses::write(&mut bytes, false, &[said]);
+        let arrived = Arrived { search: Some(bytes), ..frame(index, &[]) };
+        let mut out = InMemory::new(arrived.key);
+        node.process(&arrived, &mut out, &context(false)).unwrap();
+        let status = ObjectStatuses::view(out.bytes("status").unwrap()).unwrap().statuses[0];
+        (status.reason, status.score)
+    };
+    assert_eq!(reason(&mut node, 0, TrackReason::Preparing), (TrackReason::Preparing as u32, 0.25));
+    assert_eq!(reason(&mut node, 1, TrackReason::Detected), (TrackReason::NotFound as u32, 0.0), "the tracker's own word");
 }
 
 #[test]
