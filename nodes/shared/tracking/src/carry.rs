@@ -35,24 +35,25 @@ impl Tracker {
             let trial = self.try_at(i, now, &start, poses);
             let Some(own) = best.filter(|_| self.tracks[i].known) else {
                 best = Some(self.begin(i, now, trial));
+                self.consider(i, start);
                 continue;
             };
+            if search {
+                self.consider(i, start);
+            }
             if self.near(i, &own.pose, &trial.pose) {
-                self.heard(i, correction, true);
+                self.heard(i, correction, Heard::There);
                 continue;
             }
             let (own, trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
             let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
             if search && (trial.confidence > own.confidence || given_up) {
-                let mut others = std::mem::take(&mut self.tracks[i].others);
-                others.push(own.pose);
+                let others = std::mem::take(&mut self.tracks[i].others);
                 best = Some(self.begin(i, now, trial));
                 self.tracks[i].others = others;
-            } else if search && self.tracks[i].others.len() < MOST_OTHERS {
-                self.tracks[i].others.push(trial.pose);
             } else if !search {
                 let taken = self.takes_look(i, &own, &trial, correction);
-                self.heard(i, correction, taken);
+                self.heard(i, correction, if taken { Heard::Elsewhere } else { Heard::NotTaken });
                 if taken {
                     self.jump(i, &own.pose, &trial.pose);
                     best = Some(trial);
@@ -62,6 +63,14 @@ impl Tracker {
         best
     }
 
+    /// A pose that was found will be looked at as it was found: the contour alone may lead it astray.
+    fn consider(&mut self, i: usize, found: Pose) {
+        let others = &mut self.tracks[i].others;
+        if others.len() < MOST_OTHERS {
+            others.push(found);
+        }
+    }
+
     /// A look that says that it is right goes before a track of which none has said so.
     fn takes_look(&self, i: usize, own: &Trial, look: &Trial, correction: &Correction) -> bool {
         let accepted = matches!(correction.kind, CorrectionKind::Look { accepted: true, .. });
@@ -69,15 +78,21 @@ impl Tracker {
         first || self.prefers(own, look, correction, self.tracks[i].phase == Phase::Tracking)
     }
 
-    /// What a look says of the track: `there` is whether the track is where the look is.
-    fn heard(&mut self, i: usize, correction: &Correction, there: bool) {
+    /// What a look says of the track. A look that has moved it far is believed only when it is very sure: from near, right and
+    /// wrong poses differ more, and it is asked again at once.
+    fn heard(&mut self, i: usize, correction: &Correction, heard: Heard) {
         let CorrectionKind::Look { accepted, score } = correction.kind else { return };
+        let (sure, doubtful) = (score >= self.config.sure_score, score < self.config.doubtful_score);
         let track = &mut self.tracks[i];
-        if accepted && there {
-            (track.verified, track.doubts) = (true, 0);
-        } else if track.measured && (accepted || score < self.config.doubtful_score) {
+        track.look_score = Some(score);
+        match heard {
+            Heard::There | Heard::Elsewhere if accepted => {
+                track.verified |= heard == Heard::There || sure;
+                track.doubts = 0;
+            }
             // What is hidden cannot be looked at, which says nothing of its pose.
-            track.doubts += 1;
+            _ if track.measured && (accepted || doubtful) => track.doubts += 1,
+            _ => {}
         }
     }
 
@@ -183,8 +198,19 @@ impl Tracker {
     }
 }
 
+/// Where a look has found an object.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Heard {
+    /// Where the track is.
+    There,
+    /// Elsewhere, and the track has gone there.
+    Elsewhere,
+    /// Elsewhere, and the track stays where it was.
+    NotTaken,
+}
+
 /// Other poses of what was found that are looked at.
-const MOST_OTHERS: usize = 3;
+const MOST_OTHERS: usize = 12;
 /// How much less sure a contour may be of a pose that a look has found: a look sees what is inside of it.
 const LOOK_BONUS: f64 = 0.2;
 /// Contrast (as in the evidence) from which renderings tell poses apart, and the difference of correlations that does.

@@ -65,6 +65,8 @@ pub struct TrackingConfig {
     pub look_ms: f64,
     /// Looks that may be on their way at a time.
     pub looks_at_once: usize,
+    /// A look with this score makes what was found a track at once, 0..1; with a smaller one a second look from there must agree.
+    pub sure_score: f64,
     /// A look with a smaller score speaks against the pose that it began from, 0..1.
     pub doubtful_score: f64,
     /// So many looks in a row that speak against an object that is seen end its track: it is searched for anew.
@@ -95,6 +97,7 @@ impl Default for TrackingConfig {
             budget_ms: 10.0,
             look_ms: 30.0,
             looks_at_once: 2,
+            sure_score: 0.9,
             doubtful_score: 0.5,
             doubtful_looks: 2,
             covariance_scale: 1.0,
@@ -130,6 +133,7 @@ impl TrackingConfig {
             ("min_seen", self.min_seen, share(self.min_seen), "0 to 1"),
             ("learn_seen", self.learn_seen, share(self.learn_seen), "0 to 1"),
             ("min_confidence", self.min_confidence, share(self.min_confidence), "0 to 1"),
+            ("sure_score", self.sure_score, share(self.sure_score), "0 to 1"),
             ("doubtful_score", self.doubtful_score, share(self.doubtful_score), "0 to 1"),
             ("doubtful_looks", f64::from(self.doubtful_looks), self.doubtful_looks > 0, "1 or more"),
             ("lose_confidence", self.lose_confidence, share(self.lose_confidence), "0 to 1"),

@@ -58,4 +58,28 @@ impl Evidence {
     }
 }
 
+/// [`Evidence::confidence`], with the score of the network's last look at the track. Learnt on tabletop's train split (702 moments
+/// of tracks, right and wrong ones); held against the confidence alone, the logarithmic loss falls from 0.26 to 0.21.
+pub(crate) fn with_look(confidence: f64, score: f64) -> f64 {
+    let logit = |p: f64| (p.clamp(1e-3, 1.0 - 1e-3) / (1.0 - p.clamp(1e-3, 1.0 - 1e-3))).ln();
+    let sum = LOOK_WEIGHTS[0] + LOOK_WEIGHTS[1] * logit(confidence) + LOOK_WEIGHTS[2] * logit(score);
+    1.0 / (1.0 + (-sum).exp())
+}
+
+const LOOK_WEIGHTS: [f64; 3] = [-1.17, 1.09, 0.64];
 const WEIGHTS: [f64; 8] = [-5.15, 10.2, 3.74, 0.23, 2.12, 0.36, 2.81, -0.99];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_look_speaks_for_a_track_or_against_it() {
+        for confidence in [0.0, 0.3, 0.9, 1.0] {
+            let said = [0.0, 0.5, 0.95, 1.0].map(|score| with_look(confidence, score));
+            assert!(said.is_sorted() && said[0] < said[3], "{said:?}");
+            assert!(said.iter().all(|p| (0.0..=1.0).contains(p)), "{said:?}");
+        }
+        assert!(with_look(0.9, 0.1) < 0.6 && with_look(0.9, 0.95) > 0.9);
+    }
+}

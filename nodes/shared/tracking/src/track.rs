@@ -58,6 +58,8 @@ pub(crate) struct Track {
     pub(crate) others: Vec<Pose>,
     /// Whether a look has said that its pose is right.
     pub(crate) verified: bool,
+    /// What the last look that came said of it: the probability that the look's pose is right.
+    pub(crate) look_score: Option<f64>,
     /// Looks in a row that spoke against it.
     pub(crate) doubts: u32,
     /// When a look was asked for that has not come back.
@@ -95,6 +97,7 @@ impl Track {
             resting: None,
             others: Vec::new(),
             verified: false,
+            look_score: None,
             doubts: 0,
             asked_ns: None,
             looked_ns: None,

@@ -1,6 +1,7 @@
 use crate::TrackingConfig;
 use crate::at_rest::BASELINE;
 use crate::error::TrackingError;
+use crate::judge::with_look;
 use crate::looks::{self, Budget, Look};
 use crate::measure::{Eye, Trial};
 use crate::texture::{Maker, Pyramid};
@@ -162,7 +163,7 @@ impl Tracker {
             object_id: self.objects[t.object].id,
             camera_from_object: t.pose,
             measured: t.measured,
-            confidence: t.confidence,
+            confidence: t.look_score.map_or(t.confidence, |score| with_look(t.confidence, score)),
             covariance: std::array::from_fn(|k| t.covariance[(k / 6, k % 6)]),
             phase: t.phase,
             good_frames: t.good,
