@@ -207,7 +207,7 @@ impl Joint {
             verdict,
             solver_covariance: result.covariance,
         };
-        Ok(Look { pose, seen: -result.cost, refinement: Some(refinement) })
+        Ok(Look { pose, merit: -result.cost, refinement: Some(refinement) })
     }
 
     fn features(
@@ -285,7 +285,7 @@ fn rough_poses(inputs: &dyn Inputs) -> Result<Vec<ObjectPose>, NodeError> {
 }
 
 fn skipped(pose: ObjectPose) -> Look {
-    Look { pose, seen: f64::NEG_INFINITY, refinement: None }
+    Look { pose, merit: f64::NEG_INFINITY, refinement: None }
 }
 
 fn unknown(id: u32) -> NodeError {

@@ -27,8 +27,8 @@ pub struct PnpNode {
 pub struct Look {
     /// The pose as it goes out.
     pub pose: ObjectPose,
-    /// How well flow and picture agree with it, -1 to 3; -infinity where nothing was solved.
-    pub seen: f64,
+    /// By which the hypotheses of one instance are ranked; -infinity where nothing was solved.
+    pub merit: f64,
     /// What the gate decided on; `None` where nothing was solved.
     pub refinement: Option<Refinement>,
 }
@@ -89,7 +89,7 @@ impl PnpNode {
             PnpStatus::Ok => self.looked_at(planes, &found),
             failed => {
                 let pose = kept_pose(&planes.view.pose, message_status(failed), 0.0);
-                Ok(Look { pose, seen: f64::NEG_INFINITY, refinement: None })
+                Ok(Look { pose, merit: f64::NEG_INFINITY, refinement: None })
             }
         }
     }
@@ -109,6 +109,7 @@ impl PnpNode {
         };
         let initial = &planes.view.pose;
         let seen = found.inlier_ratio + photometric + silhouette;
+        let merit = seen + CERTAINTY_WEIGHT * planes.field.mean_certainty().unwrap_or(0.0);
         log::debug!(
             "object {}: gate {}; seen {seen:.3}; {verdict:?}; {evidence:?}",
             initial.object_id,
@@ -136,7 +137,7 @@ impl PnpNode {
             verdict,
             solver_covariance: found.covariance,
         };
-        Ok(Look { pose, seen, refinement: Some(refinement) })
+        Ok(Look { pose, merit, refinement: Some(refinement) })
     }
 
     /// What became of each instance of a frame, of several hypotheses the best; ordered by object and instance. This is all
@@ -153,7 +154,7 @@ impl PnpNode {
         let flow = read::<FlowFields<'static>>(inputs, "flow")?;
         belong_together(&views, &flow).or_bad_input("flow")?;
         let mut rng = draws(&self.config, inputs, context)?;
-        let skipped = |pose: &ObjectPose| Look { pose: *pose, seen: f64::NEG_INFINITY, refinement: None };
+        let skipped = |pose: &ObjectPose| Look { pose: *pose, merit: f64::NEG_INFINITY, refinement: None };
         let mut looks: Vec<Look> = views.skipped.iter().map(skipped).collect();
         for instance in 0..views.header.instances as usize {
             looks.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
@@ -251,11 +252,15 @@ fn refined_pose(initial: &ObjectPose, found: &PnpResult, status: PoseStatus, sco
     }
 }
 
+/// What the network's mean certainty counts for among hypotheses, beside inlier ratio, correlation and contrast (each at most 1).
+/// Chosen with searches of tabletop's train split: 0, 1 and 3 find 0.78, 0.80 and 0.83 of 110 objects in two looks.
+const CERTAINTY_WEIGHT: f64 = 2.0;
+
 /// Of several poses of one instance (an initializer may send them) the one that flow and picture agree with best, the first of
 /// equals; ordered by object and instance.
 fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
-    let agreement = |look: &Look| if look.seen.is_nan() { f64::NEG_INFINITY } else { look.seen };
-    looks.sort_by(|a, b| a.pose.identity().cmp(&b.pose.identity()).then(agreement(b).total_cmp(&agreement(a))));
+    let merit = |look: &Look| if look.merit.is_nan() { f64::NEG_INFINITY } else { look.merit };
+    looks.sort_by(|a, b| a.pose.identity().cmp(&b.pose.identity()).then(merit(b).total_cmp(&merit(a))));
     looks.dedup_by_key(|look| look.pose.identity());
     looks
 }
@@ -361,7 +366,7 @@ mod tests {
     fn of_several_poses_of_an_instance_the_one_that_is_seen_best_stays() {
         let pose = |object_id, instance, score, seen| {
             let zeroed: ObjectPose = bytemuck::Zeroable::zeroed();
-            Look { pose: ObjectPose { object_id, instance, score, ..zeroed }, seen, refinement: None }
+            Look { pose: ObjectPose { object_id, instance, score, ..zeroed }, merit: seen, refinement: None }
         };
         let refined = vec![
             pose(2, 0, 0.1, f64::NEG_INFINITY),

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CompareConfig {
-    /// Weights of the flow network for the same objects (RAFT-small, `.safetensors`).
+    /// Weights of a flow network (`.safetensors`): the refiner for all objects, or a RAFT-small for the same objects.
     pub model: PathBuf,
     /// Directions from which each object is rendered.
     #[serde(default = "default_directions")]

@@ -8,7 +8,7 @@ use crate::detect::Rectangle;
 use nalgebra::{Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::Object;
-use pseudoflow_imaging::raster::{Rasteriser, View as Rendered};
+use pseudoflow_imaging::raster::{Rasteriser, Rendering, View as Rendered};
 
 /// An object seen from one side.
 #[derive(Debug, Clone, PartialEq)]
@@ -106,11 +106,12 @@ pub(super) fn views(
         let (asked, shapes): (Vec<Rendered>, Vec<_>) =
             batch.iter().map(|rotation| seen(object, rotation, side, size_px)).unzip();
         let renderings = rasteriser.render(&asked).map_err(failed)?;
-        let rgb: Vec<u8> = renderings.iter().flat_map(|r| r.rgb.as_raw().iter().copied()).collect();
-        let features = encoder.encode(&rgb)?;
+        let renderings: Vec<(Rendering, f64)> =
+            renderings.into_iter().zip(asked.iter().map(|view| view.intrinsics.fx)).collect();
+        let features = encoder.encode_renderings(&renderings)?;
         let per_view = across * across * channels;
         let each = batch.iter().zip(shapes).zip(&renderings).zip(features.chunks_exact(per_view));
-        for (((rotation, shape), rendering), features) in each {
+        for (((rotation, shape), (rendering, _)), features) in each {
             let cells = covered(&rendering.mask, across);
             let of_cell = |[x, y]: &[i32; 2]| &features[(*y as usize * across + *x as usize) * channels..][..channels];
             let features = cells.iter().flat_map(of_cell).copied().collect();

@@ -3,9 +3,9 @@
 use crate::config::NetworkConfig;
 use crate::error::Result;
 use crate::model::{Model, Parameter, TensorSpec};
-use crate::onnx::{ExportOptions, export_onnx, export_refiner};
+use crate::onnx::{ExportOptions, Pictures, export_features, export_onnx, export_refiner, export_refiner_features};
 use crate::raft::Raft;
-use crate::refiner::{REFERENCE_CHANNELS, Refiner, RefinerConfig};
+use crate::refiner::{REFERENCE_CHANNELS, Refiner, RefinerConfig, WIDTHS};
 use crate::weights::Weights;
 use burn::tensor::Device;
 use std::path::Path;
@@ -121,6 +121,28 @@ impl FlowNetwork {
         match self {
             Self::Raft(raft) => export_onnx(weights, raft, options),
             Self::Refiner(refiner) => export_refiner(weights, refiner, options),
+        }
+    }
+
+    /// The bytes of an ONNX file of the features that are compared between pictures, at 1/8 of their size: input `image` (N, C,
+    /// S, S), f32, C = [`Self::reference_channels`] of renderings and 3 of photographs; output `features` (N,
+    /// [`Self::feature_channels`], S / 8, S / 8). They resemble each other where rendering and photograph show the same surface.
+    ///
+    /// # Errors
+    /// The size is out of range, or the weights belong to another architecture.
+    pub fn export_features(&self, weights: &Weights, size_px: usize, of: Pictures) -> Result<Vec<u8>> {
+        match self {
+            Self::Raft(raft) => export_features(weights, raft, size_px),
+            Self::Refiner(refiner) => export_refiner_features(weights, refiner, size_px, of),
+        }
+    }
+
+    /// Channels of [`Self::export_features`].
+    #[must_use]
+    pub fn feature_channels(&self) -> usize {
+        match self {
+            Self::Raft(raft) => raft.feature_channels(),
+            Self::Refiner(_) => WIDTHS.matching,
         }
     }
 

@@ -31,7 +31,7 @@ pub use flow_network::{BuiltFlow, FlowNetwork};
 pub use labels::ExtraLoss;
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
 pub use model::{Init, Model, Parameter, TensorSpec};
-pub use onnx::{ExportOptions, export_detector, export_features, export_onnx, export_refiner, is_refiner_onnx};
+pub use onnx::{ExportOptions, Pictures, export_detector, export_onnx, export_refiner, is_refiner_onnx};
 pub use optim::{AdamWConfig, OneCycle, Plateau, Schedule};
 pub use raft::Raft;
 pub use refiner::{

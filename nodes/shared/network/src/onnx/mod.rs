@@ -20,6 +20,7 @@ use crate::raft::Raft;
 use crate::weights::{NamedTensor, Weights};
 use builder::{Attr, Batch, Builder};
 pub use detector::export_detector;
+pub(crate) use refiner::export_refiner_features;
 pub use refiner::{export_refiner, is_refiner_onnx};
 
 /// What to export.
@@ -74,12 +75,21 @@ pub fn export_onnx(weights: &Weights, config: &NetworkConfig, options: ExportOpt
     Ok(export.graph.finish("raft", &metadata))
 }
 
-/// The bytes of an ONNX file of the feature encoder alone: input `image` (N, 3, S, S), f32 in [-1, 1], output `features`
+/// What an encoder of features looks at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pictures {
+    /// Renderings of an object.
+    Renderings,
+    /// Crops of a camera's image.
+    Photographs,
+}
+
+/// The bytes of an ONNX file of a RAFT's feature encoder alone: input `image` (N, 3, S, S), f32 in [-1, 1], output `features`
 /// (N, C, S / 8, S / 8). Features of a rendering and of a real crop resemble each other where they show the same surface.
 ///
 /// # Errors
 /// The size is out of range, or the weights belong to another architecture.
-pub fn export_features(weights: &Weights, config: &NetworkConfig, size_px: usize) -> Result<Vec<u8>> {
+pub(crate) fn export_features(weights: &Weights, config: &NetworkConfig, size_px: usize) -> Result<Vec<u8>> {
     check_size(size_px)?;
     Raft::new(weights, config, &burn::tensor::Device::flex())?;
     let side = size_px / 8;

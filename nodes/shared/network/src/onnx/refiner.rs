@@ -1,7 +1,7 @@
 //! The refiner as standard ONNX.
 
 use super::builder::{Attr, Builder};
-use super::{ConvWeights, Export, ExportOptions, proto};
+use super::{ConvWeights, Export, ExportOptions, Pictures, proto};
 use crate::config::Architecture;
 use crate::error::Result;
 use crate::model::Model;
@@ -38,6 +38,34 @@ pub fn export_refiner(weights: &Weights, config: &RefinerConfig, options: Export
         ("network", config.name.clone()),
     ];
     Ok(export.graph.finish("refiner", &metadata))
+}
+
+/// The bytes of an ONNX file of the features that the refiner correlates at 1/8: input `image`, of renderings (N, 5, S, S) as
+/// [`crate::Refiner::forward`] takes them or of photographs (N, 3, S, S); output `features` (N, 64, S / 8, S / 8).
+///
+/// # Errors
+/// The size is out of range, or the weights belong to another architecture.
+pub(crate) fn export_refiner_features(
+    weights: &Weights,
+    config: &RefinerConfig,
+    size_px: usize,
+    of: Pictures,
+) -> Result<Vec<u8>> {
+    check_size(size_px)?;
+    config.build(weights, &burn::tensor::Device::flex())?;
+    let side = size_px / 8;
+    let mut export = Export { graph: Builder::default(), weights, arch: Architecture::Small, batch: None, side };
+    let colours = export.conv_weights("stem");
+    let (stem, channels) = match of {
+        Pictures::Photographs => (colours, 3),
+        Pictures::Renderings => (side_by_side(&colours, &export.conv_weights("stem.geometry")), REFERENCE_CHANNELS),
+    };
+    let image = export.graph.input("image", None, &[channels, size_px, size_px]);
+    let fine = export.fine_features(&stem, &image);
+    let features = export.plain_conv(&fine, "match.fine");
+    export.graph.output("features", &features, None, &[WIDTHS.matching, side, side]);
+    let info = serde_json::to_string(&weights.info).expect("plain struct");
+    Ok(export.graph.finish("features", &[("pseudoflow", info)]))
 }
 
 /// Whether the bytes of an ONNX file are those of a refiner: a network that says how certain it is.
@@ -88,23 +116,29 @@ impl Export<'_> {
     }
 
     fn refiner_features(&mut self, stem: &ConvWeights, image: &str) -> Features {
+        let fine = self.fine_features(stem, image);
+        let coarse = self.trunk_stage(&fine, 3);
+        Features { fine, coarse }
+    }
+
+    fn fine_features(&mut self, stem: &ConvWeights, image: &str) -> String {
         let stem = self.conv(image, stem, 2);
         let stem = self.instance_norm(&stem, WIDTHS.trunk[0]);
-        let mut x = self.graph.relu(&stem);
-        let mut levels = Vec::new();
-        for stage in 1..4 {
-            let down = self.normed(&x, &format!("trunk.{stage}.down"), "", 2, true);
-            let down = self.graph.relu(&down);
-            let mut y = self.normed(&down, &format!("trunk.{stage}.first"), "", 1, true);
-            if stage > 1 {
-                let first = self.graph.relu(&y);
-                y = self.normed(&first, &format!("trunk.{stage}.second"), "", 1, true);
-            }
-            let sum = self.graph.op("Add", &[&down, &y], &[]);
-            x = self.graph.relu(&sum);
-            levels.push(x.clone());
+        let stem = self.graph.relu(&stem);
+        let first = self.trunk_stage(&stem, 1);
+        self.trunk_stage(&first, 2)
+    }
+
+    fn trunk_stage(&mut self, x: &str, stage: usize) -> String {
+        let down = self.normed(x, &format!("trunk.{stage}.down"), "", 2, true);
+        let down = self.graph.relu(&down);
+        let mut y = self.normed(&down, &format!("trunk.{stage}.first"), "", 1, true);
+        if stage > 1 {
+            let first = self.graph.relu(&y);
+            y = self.normed(&first, &format!("trunk.{stage}.second"), "", 1, true);
         }
-        Features { fine: levels[1].clone(), coarse: levels[2].clone() }
+        let sum = self.graph.op("Add", &[&down, &y], &[]);
+        self.graph.relu(&sum)
     }
 
     /// Flow and context at 1/16.

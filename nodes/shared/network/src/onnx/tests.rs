@@ -136,3 +136,29 @@ fn refiner_equals_burn() {
         }
     }
 }
+
+/// Features that a network exports for pictures of this many channels, by rten.
+fn features(network: &crate::FlowNetwork, weights: &Weights, pictures: Pictures, planes: &[f32]) -> Vec<f32> {
+    let onnx = network.export_features(weights, 64, pictures).unwrap();
+    let model = rten::Model::load(onnx).unwrap();
+    let tensor = rten_tensor::Tensor::from_data(&[1, planes.len() / (64 * 64), 64, 64], planes.to_vec());
+    let inputs = vec![(model.node_id("image").unwrap(), rten::ValueOrView::from(tensor))];
+    let mut outputs = model.run(inputs, &[model.node_id("features").unwrap()], None).unwrap();
+    let features: rten_tensor::Tensor<f32> = outputs.remove(0).try_into().unwrap();
+    assert_eq!(features.shape(), [1, network.feature_channels(), 8, 8]);
+    features.to_vec()
+}
+
+#[test]
+fn features_of_renderings_know_their_geometry_and_are_else_those_of_photographs() {
+    let network = crate::FlowNetwork::named("refiner").unwrap();
+    let mut weights = Weights::random(&network, 3);
+    let [photograph, geometry] = images(1, 64, 5);
+    let rendering: Vec<f32> = photograph.iter().chain(&geometry[..2 * 64 * 64]).copied().collect();
+    let photographed = features(&network, &weights, Pictures::Photographs, &photograph);
+    // What geometry adds begins at nothing.
+    assert_eq!(features(&network, &weights, Pictures::Renderings, &rendering), photographed);
+    let trained = weights.tensors_mut().find(|t| t.name == "stem.geometry.weight").unwrap();
+    trained.data.iter_mut().for_each(|v| *v = 0.3);
+    assert_ne!(features(&network, &weights, Pictures::Renderings, &rendering), photographed);
+}
