@@ -76,9 +76,8 @@ impl TrackerNode {
             None => &[],
         };
         let preparing = |own: &ObjectStatus| {
-            let prepares = |s: &&ObjectStatus| {
-                s.object_id == own.object_id && s.reason == TrackReason::Preparing as u32
-            };
+            let prepares =
+                |s: &&ObjectStatus| s.object_id == own.object_id && s.reason == TrackReason::Preparing as u32;
             searched.iter().find(prepares).filter(|_| own.reason == TrackReason::NotFound as u32).copied()
         };
         let own = self.ids.iter().map(|id| status(*id, &step.estimates, step.problem));

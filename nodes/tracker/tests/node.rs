@@ -101,7 +101,11 @@ fn what_cannot_be_searched_for_yet_is_said() {
         (status.reason, status.score)
     };
     assert_eq!(reason(&mut node, 0, TrackReason::Preparing), (TrackReason::Preparing as u32, 0.25));
-    assert_eq!(reason(&mut node, 1, TrackReason::Detected), (TrackReason::NotFound as u32, 0.0), "the tracker's own word");
+    assert_eq!(
+        reason(&mut node, 1, TrackReason::Detected),
+        (TrackReason::NotFound as u32, 0.0),
+        "the tracker's own word"
+    );
 }
 
 #[test]

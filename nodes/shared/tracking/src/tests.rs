@@ -202,7 +202,29 @@ fn all_poses_that_something_was_found_at_are_looked_at() {
         step(&mut tracker, i, &picture(i, false), &[]);
         (!looks.is_empty()).then_some(looks)
     });
-    assert_eq!(asked.map(|looks| looks.len()), Some(3));
+    assert_eq!(asked.map(|looks| looks.len()), Some(4), "where the contour has led it, and as it was found");
+}
+
+#[test]
+fn a_look_that_moves_it_far_makes_a_track_when_it_is_very_sure_or_a_second_agrees() {
+    let phases = |score: f64| {
+        let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
+        tracker.expect_looks();
+        let off = Vector6::new(0.0, 0.0, 0.0, 0.0, 1.5, 0.0);
+        let rough = Correction { camera_from_object: retract(&truth(0), &off), ..found(0) };
+        for i in 0..8 {
+            step(&mut tracker, i, &picture(i, false), &if i == 0 { vec![rough] } else { Vec::new() });
+            tracker.tracks[0].pose = retract(&truth(i), &off);
+        }
+        let first = step(&mut tracker, 8, &picture(8, false), &[look(7, true, score)]).estimates[0].phase;
+        for i in 9..14 {
+            step(&mut tracker, i, &picture(i, false), &[]);
+        }
+        let second = step(&mut tracker, 14, &picture(14, false), &[look(13, true, score)]).estimates[0].phase;
+        (first, tracker.tracks[0].verified, second)
+    };
+    assert_eq!(phases(0.8), (Phase::Searching, true, Phase::Tracking));
+    assert!(phases(0.95).1);
 }
 
 #[test]
