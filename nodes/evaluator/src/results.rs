@@ -4,11 +4,10 @@ mod details;
 
 pub use details::{ImageDetails, details_of_estimates, read_details};
 
-use details::DetailsWriter;
 use pseudoflow_geometry::pose_from_quaternion;
 use pseudoflow_metrics::{Estimate, ResultsWriter};
 use pseudoflow_msgs::{GateDecision, GateDecisions, ObjectPose, ObjectPoses};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, JsonLines, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -32,7 +31,7 @@ pub struct ResultsNode {
     /// The file, where it will lie at the end, and the images in it.
     csv: Option<(ResultsWriter, PathBuf)>,
     done: BTreeSet<(u32, u32)>,
-    details: Option<DetailsWriter>,
+    details: Option<JsonLines>,
 }
 
 /// Where a result file grows.
@@ -117,8 +116,8 @@ impl Node for ResultsNode {
 
     fn create(config: ResultsConfig, context: &Context) -> Result<Self, NodeError> {
         let append = config.append || context.restarts > 0;
-        config.csv.iter().chain(&config.details).try_for_each(|path| make_folder_of(path))?;
-        let details = config.details.as_deref().map(|path| DetailsWriter::open(path, append)).transpose()?;
+        config.csv.as_deref().map(make_folder_of).transpose()?;
+        let details = config.details.as_deref().map(|path| JsonLines::open(path, append)).transpose()?;
         let mut node = Self { csv: None, done: BTreeSet::new(), details };
         config.csv.map_or(Ok(()), |csv| node.open_csv(csv, append))?;
         Ok(node)

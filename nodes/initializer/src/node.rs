@@ -29,6 +29,9 @@ pub struct InitializerConfig {
     /// The network that the weights belong to: `nano`, `full`, or a YAML file.
     #[serde(default = "default_network")]
     pub network: String,
+    /// Poses of these objects only; of all without.
+    #[serde(default)]
+    pub only_objects: Option<Vec<u32>>,
     /// How poses are made of the network's answer.
     #[serde(default)]
     pub detect: DetectConfig,
@@ -67,6 +70,7 @@ impl InitializerConfig {
             model,
             objects,
             network: default_network(),
+            only_objects: None,
             detect,
             compare: None,
             track: None,
@@ -81,6 +85,7 @@ impl InitializerConfig {
 /// Frames in, first poses out.
 pub struct InitializerNode {
     finder: Finder,
+    only_objects: Option<Vec<u32>>,
     following: Option<Following>,
     patience: Patience,
     memory: Memory,
@@ -126,7 +131,10 @@ impl InitializerNode {
         };
         let named = (frame.header.scene_id, frame.header.image_id);
         let mut rng = self.draws.rng(context, key.index, named, "ransac");
-        Ok(self.finder.find(&image, &camera, &left_out, &mut rng)?)
+        let mut found = self.finder.find(&image, &camera, &left_out, &mut rng)?;
+        // Behind the search, so that what is drawn for one object does not depend on which others are wanted.
+        found.retain(|detection| self.only_objects.as_ref().is_none_or(|only| only.contains(&detection.object_id)));
+        Ok(found)
     }
 
     /// What a frame shows of what is wanted and due.
@@ -329,9 +337,10 @@ impl Node for InitializerNode {
             lossless: context.replay,
             learned: None,
         });
+        let only_objects = config.only_objects;
         let finder = Finder { network, comparer, objects, config: config.detect };
         let (patience, draws) = (Patience::new(config.search), config.draws);
-        Ok(Self { finder, following, patience, memory: Memory::default(), draws })
+        Ok(Self { finder, only_objects, following, patience, memory: Memory::default(), draws })
     }
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {

@@ -1,5 +1,6 @@
 use crate::PnpNodeConfig;
-use crate::gate::{Evidence, Feature, Features, Gate, StageModel, Verdict};
+use crate::crop_solver::CropSolver;
+use crate::gate::{Feature, Features, Gate, StageModel, Verdict};
 use crate::joint::{Joint, Stages};
 use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use pseudoflow_geometry::{Pose, quaternion_xyzw};
@@ -8,15 +9,14 @@ use pseudoflow_msgs::{
     ReferenceViews,
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
-use pseudoflow_solver::{PixelBuffer, PnpResult, PnpStatus, Solver};
+use pseudoflow_solver::{PnpResult, PnpStatus};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 /// Views and flow in, refined poses out.
 pub struct PnpNode {
     config: PnpNodeConfig,
-    solver: Option<(usize, Solver)>,
-    buffer: PixelBuffer,
+    solver: CropSolver,
     gate: Gate,
     model: StageModel,
     joint: Option<Joint>,
@@ -74,17 +74,9 @@ impl Look {
 }
 
 impl PnpNode {
-    /// The solver for crops of a size; made anew only when the size changes.
-    fn solver(&mut self, size_px: usize) -> Result<&mut Solver, NodeError> {
-        if self.solver.as_ref().is_none_or(|(size, _)| *size != size_px) {
-            self.solver = Some((size_px, Solver::new(self.config.solver.clone().scaled_to(size_px))?));
-        }
-        Ok(&mut self.solver.as_mut().ok_or("no solver")?.1)
-    }
-
     /// The refined pose of a view.
     fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<Look, NodeError> {
-        let found = self.solve(planes, seed)?;
+        let found = self.solver.solve(&planes.field, seed)?;
         match found.status {
             PnpStatus::Ok => self.looked_at(planes, &found),
             failed => {
@@ -98,7 +90,7 @@ impl PnpNode {
     fn looked_at(&mut self, planes: &ViewPlanes<'_>, found: &PnpResult) -> Result<Look, NodeError> {
         let config = self.config.gate.clone().unwrap_or_default();
         let evidence = evidence(planes, found, config.blocks_across, &mut self.gate)?;
-        let threshold_px = self.solver(planes.field.size_px)?.config().threshold_px;
+        let threshold_px = self.solver.of(planes.field.size_px)?.config().threshold_px;
         let features = planes.features(found, &evidence, threshold_px);
         let verdict = self.model.verdict(&features);
         let decision = config.decide(found, &evidence, &verdict, planes.field.size_px);
@@ -159,66 +151,6 @@ impl PnpNode {
             looks.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
         }
         Ok(best_of_each(looks))
-    }
-
-    fn solve(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<PnpResult, NodeError> {
-        let mut buffer = std::mem::take(&mut self.buffer);
-        let correspondences = buffer.fill(&planes.field, usize::MAX)?;
-        let camera = planes.field.intrinsics;
-        let initial = planes.field.camera_from_object;
-        let found = self.solver(planes.field.size_px)?.solve(&correspondences, &camera, &initial, seed);
-        self.buffer = buffer;
-        Ok(found)
-    }
-
-    /// Refines the instances of a frame and says how well the pictures agree with each pose, without any truth. `seed`
-    /// is that of RANSAC.
-    ///
-    /// # Errors
-    /// When views and flow do not belong together.
-    pub fn judge(
-        &mut self,
-        views: &ReferenceViews<'_>,
-        flow: &FlowFields<'_>,
-        seed: u64,
-    ) -> Result<Vec<Judgement>, NodeError> {
-        let blocks_across = self.config.gate.clone().unwrap_or_default().blocks_across;
-        let judge = |instance: usize| {
-            let planes = planes(views, flow, instance)?;
-            let found = self.solve(&planes, seed)?;
-            let status = message_status(found.status);
-            let evidence = match found.status {
-                PnpStatus::Ok => Some(evidence(&planes, &found, blocks_across, &mut self.gate)?),
-                _ => None,
-            };
-            let pose = match status {
-                PoseStatus::Ok => refined_pose(&planes.view.pose, &found, status, found.inlier_ratio),
-                failed => kept_pose(&planes.view.pose, failed, found.inlier_ratio),
-            };
-            Ok(Judgement { pose, evidence })
-        };
-        (0..views.header.instances as usize).map(judge).collect()
-    }
-}
-
-/// A refined pose with what the pictures say about it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Judgement {
-    /// The pose, its score the inlier ratio.
-    pub pose: ObjectPose,
-    /// `None` when PnP failed.
-    pub evidence: Option<Evidence>,
-}
-
-impl Judgement {
-    /// Agreement of flow and pictures, from -1 to 3: the inlier ratio, the correlation of the rendering with the crop and the
-    /// contrast across the contour, each at the refined pose. 0 when PnP failed. For comparing networks on the same crops.
-    #[must_use]
-    pub fn agreement(&self) -> f64 {
-        let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
-        self.evidence.as_ref().map_or(0.0, |evidence| {
-            self.pose.score + finite(evidence.photometric_refined) + finite(evidence.silhouette_refined)
-        })
     }
 }
 
@@ -319,7 +251,8 @@ impl Node for PnpNode {
     fn create(config: PnpNodeConfig, _: &Context) -> Result<Self, NodeError> {
         let model = config.gate.clone().unwrap_or_default().stage_model(config.stages.learnt())?;
         let joint = Joint::open(&config, &model)?;
-        Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new(), model, joint })
+        let solver = CropSolver::new(config.solver.clone());
+        Ok(Self { config, solver, gate: Gate::new(), model, joint })
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {

@@ -8,7 +8,7 @@ use pseudoflow_msgs::{
     CameraFrame, ObjectPose, ObjectPoses, PartnerFrames, ReferenceView, ReferenceViews, ReferenceViewsHeader,
     ReferenceViewsMut,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Draws, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -34,6 +34,9 @@ pub struct RendererConfig {
     /// Frames of a training that went before this run: they decide what is drawn at random.
     #[serde(default)]
     pub first_frame: u64,
+    /// What decides which poses of further views are drawn.
+    #[serde(default)]
+    pub draws: Draws,
 }
 
 fn default_size_px() -> u32 {
@@ -59,6 +62,7 @@ impl RendererConfig {
             margin: default_margin(),
             device: Device::default(),
             first_frame: 0,
+            draws: Draws::default(),
         }
     }
 }
@@ -69,6 +73,7 @@ pub struct RendererNode {
     objects: ObjectSet,
     rasteriser: Box<dyn Rasteriser>,
     first_frame: u64,
+    draws: Draws,
 }
 
 impl RendererNode {
@@ -152,7 +157,7 @@ impl Node for RendererNode {
         }
         log::info!("{} renders {} objects at {} px", rasteriser.name(), objects.len(), config.size_px);
         let settings = ViewSettings { size_px: config.size_px, views: config.views, margin: config.margin };
-        Ok(Self { settings, objects, rasteriser, first_frame: config.first_frame })
+        Ok(Self { settings, objects, rasteriser, first_frame: config.first_frame, draws: config.draws })
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {
@@ -166,7 +171,8 @@ impl Node for RendererNode {
         let (width, height) = (frame.header.width, frame.header.height);
         let [fx, fy, cx, cy] = frame.header.intrinsics;
         let intrinsics = Intrinsics { fx, fy, cx, cy };
-        let mut rng = context.rng(self.first_frame + inputs.key().index, "views");
+        let image = (frame.header.scene_id, frame.header.image_id);
+        let mut rng = self.draws.rng(context, self.first_frame + inputs.key().index, image, "views");
         let around = match inputs.bytes("around") {
             Some(_) => read::<ObjectPoses<'static>>(inputs, "around")?.poses,
             None => &[],
