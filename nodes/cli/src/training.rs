@@ -8,8 +8,7 @@ use pseudoflow_player::InitialPoses;
 use pseudoflow_runtime::Graph;
 pub use pseudoflow_trainer::adapt::files;
 use pseudoflow_trainer::adapt::{label_px, steps_taken};
-use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 const GRAPH: &str = include_str!("../../../config/graphs/adapt.yaml");
@@ -87,46 +86,6 @@ pub struct TrainingArgs {
     pub seed: u64,
 }
 
-/// Parameters of the graph.
-#[derive(Serialize)]
-struct Params<'a> {
-    source: &'a Path,
-    also: &'a [PathBuf],
-    initial_poses: InitialPoses,
-    objects: &'a Path,
-    weights: &'a Path,
-    network: Network,
-    device: ComputeDevice,
-    size_px: u32,
-    views: u32,
-    held_out_every: u64,
-    samples: u64,
-    steps: u64,
-    frames_per_step: u64,
-    repeats: u64,
-    first_step: u64,
-    first_frame: u64,
-    max_lr: f64,
-    out: &'a Path,
-}
-
-/// Parameters of the graph that say where labels and losses come from.
-#[derive(Debug, Clone, Serialize)]
-pub struct LabelParams<'a> {
-    /// Other frames of each sample.
-    pub partners: u32,
-    /// What a label is.
-    pub label: &'a str,
-    /// Largest disagreement of a label, pixels of a 256 px crop.
-    pub tau: f32,
-    /// Whether every label counts.
-    pub accept_all: bool,
-    /// Weight of the flow loss.
-    pub flow_weight: f64,
-    /// Weight of the photometric loss.
-    pub photo_weight: f64,
-}
-
 impl TrainingArgs {
     /// Width and height of the crops that are labelled, pixels.
     #[must_use]
@@ -189,34 +148,34 @@ impl TrainingArgs {
         })
     }
 
-    /// The graph of the training from a step on.
+    /// The graph of the training from a step on. `labels` are the parameters that say where labels and losses come from.
     ///
     /// # Errors
     /// An option that the graph cannot take.
-    pub fn graph(&self, initial_poses: InitialPoses, labels: &LabelParams<'_>, first_step: u64) -> Result<Graph> {
+    pub fn graph(&self, initial_poses: &InitialPoses, labels: &Value, first_step: u64) -> Result<Graph> {
         let mut graph = adapt_graph()?;
         graph.seed = self.seed;
         graph.window = (3 * self.batch).clamp(8, 64);
-        graph.set_params(&Params {
-            source: &self.bags[0],
-            also: &self.bags[1..],
-            initial_poses,
-            objects: &self.objects,
-            weights: &self.weights,
-            network: network(&self.network)?,
-            device: self.device,
-            size_px: self.label_px(),
-            views: self.views,
-            held_out_every: self.held_out_every,
-            samples: (self.steps - first_step) * self.batch,
-            steps: self.steps,
-            frames_per_step: self.batch,
-            repeats: self.repeats,
-            first_step,
-            first_frame: first_step * self.batch,
-            max_lr: self.max_lr,
-            out: &self.folder(),
-        })?;
+        graph.set_params(&json!({
+            "source": self.bags[0],
+            "also": self.bags[1..],
+            "initial_poses": initial_poses,
+            "objects": self.objects,
+            "weights": self.weights,
+            "network": network(&self.network)?,
+            "device": self.device,
+            "size_px": self.label_px(),
+            "views": self.views,
+            "held_out_every": self.held_out_every,
+            "samples": (self.steps - first_step) * self.batch,
+            "steps": self.steps,
+            "frames_per_step": self.batch,
+            "repeats": self.repeats,
+            "first_step": first_step,
+            "first_frame": first_step * self.batch,
+            "max_lr": self.max_lr,
+            "out": self.folder(),
+        }))?;
         graph.set_params(labels)?;
         // What a graph leaves to the nodes where nothing is said is no parameter.
         let given = [

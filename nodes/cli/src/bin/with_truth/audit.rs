@@ -3,13 +3,11 @@ use crate::truth::TruthFiles;
 use anyhow::{Context as _, Result, ensure};
 use pseudoflow_cli::in_process::{Written, take_out};
 use pseudoflow_cli::training::{adapt_graph, look_once, network};
-use pseudoflow_flow::Network;
-use pseudoflow_player::{InitialPoses, PlayerConfig, open_recording};
+use pseudoflow_player::{PlayerConfig, open_recording};
 use pseudoflow_runtime::{Draws, Graph, Stride, read_lines};
-use serde::Serialize;
 use serde_json::{Value, json};
 use std::num::NonZeroU64;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Prints, for each tau, the share of the object's pixels that keep a label, and the share of these within 2 px (of a
 /// 256 px crop) of the truth.
@@ -56,22 +54,7 @@ pub(crate) struct Args {
     seed: u64,
 }
 
-/// Parameters of `adapt.yaml`.
-#[derive(Serialize)]
-struct Params<'a> {
-    source: &'a Path,
-    also: &'a [PathBuf],
-    initial_poses: InitialPoses,
-    objects: &'a Path,
-    weights: &'a Path,
-    network: Network,
-    size_px: u32,
-    label: &'a str,
-    /// No label is refused: the counts are by tau.
-    tau: f32,
-}
-
-/// The largest that a graph can say.
+/// No label is refused, for the counts are by tau: the largest that a graph can say.
 const EVERY_TAU: f32 = 64.0;
 /// Fields in one run of the network.
 const MAX_BATCH: u32 = 8;
@@ -80,17 +63,17 @@ const MAX_BATCH: u32 = 8;
 fn graph(args: &Args) -> Result<Graph> {
     let mut graph = adapt_graph()?;
     graph.seed = args.seed;
-    graph.set_params(&Params {
-        source: &args.bags[0],
-        also: &args.bags[1..],
-        initial_poses: InitialPoses::default(),
-        objects: &args.objects,
-        weights: &args.weights,
-        network: network(&args.network)?,
-        size_px: args.size,
-        label: &args.label,
-        tau: EVERY_TAU,
-    })?;
+    graph.set_params(&json!({
+        "source": args.bags[0],
+        "also": args.bags[1..],
+        "initial_poses": {},
+        "objects": args.objects,
+        "weights": args.weights,
+        "network": network(&args.network)?,
+        "size_px": args.size,
+        "label": args.label,
+        "tau": EVERY_TAU,
+    }))?;
     take_out(&mut graph, &["trainer"]);
     if !args.refine_first {
         look_once(&mut graph);

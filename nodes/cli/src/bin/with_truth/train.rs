@@ -1,7 +1,7 @@
 use crate::truth::TruthFiles;
 use anyhow::{Context as _, Result};
 use pseudoflow_cli::in_process::{Written, take_out};
-use pseudoflow_cli::training::{FIRST_LOOK, LabelParams, TrainingArgs, files};
+use pseudoflow_cli::training::{FIRST_LOOK, TrainingArgs, files};
 use pseudoflow_player::InitialPoses;
 use pseudoflow_runtime::Graph;
 use pseudoflow_runtime::graph::PortRef;
@@ -23,9 +23,8 @@ const LOGGED: [&str; 4] = ["step", "loss_flow", "epe_px", "grad_norm"];
 
 /// `adapt.yaml` with the truth in the place of the teacher: what differs is the labels alone.
 fn graph(args: &Args, first_step: u64) -> Result<Graph> {
-    let none =
-        LabelParams { partners: 0, label: "rigid", tau: 2.0, accept_all: false, flow_weight: 1.0, photo_weight: 0.0 };
-    let mut graph = args.training.graph(InitialPoses::default(), &none, first_step)?;
+    let labels = json!({"partners": 0, "photo_weight": 0.0});
+    let mut graph = args.training.graph(&InitialPoses::default(), &labels, first_step)?;
     take_out(&mut graph, &FIRST_LOOK);
     take_out(&mut graph, &["flow", "consistency"]);
     let truth = TruthFiles { poses: args.truth.clone(), objects: args.training.objects.clone() };

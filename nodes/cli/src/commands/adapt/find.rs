@@ -5,15 +5,13 @@ use super::Args;
 use anyhow::{Result, bail, ensure};
 use pseudoflow_cli::in_process::Written;
 use pseudoflow_cli::training::network;
-use pseudoflow_flow::Network;
 use pseudoflow_geometry::{Pose, pose_from_quaternion, rotation_angle_rad};
 use pseudoflow_initializer::CompareConfig;
 use pseudoflow_metrics::{Estimate, ResultsWriter};
-use pseudoflow_network::{ComputeDevice, FlowNetwork, NetworkConfig};
+use pseudoflow_network::{FlowNetwork, NetworkConfig};
 use pseudoflow_player::{FrameSource, open_recording};
 use pseudoflow_pnp::judge::{JudgedFrame, JudgedInstance};
 use pseudoflow_runtime::{Graph, Stride, read_lines};
-use serde::Serialize;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroU64;
@@ -28,21 +26,6 @@ const FOUND: &str = "initial_poses.csv";
 const LEAST_AGREEMENT: f64 = 1.1;
 /// And when the refinement does not turn it further than the flow network was trained for.
 const LARGEST_TURN_DEG: f64 = 45.0;
-
-/// Parameters of the graph.
-#[derive(Serialize)]
-struct Params<'a> {
-    source: &'a Path,
-    also: &'a [PathBuf],
-    frames: Stride,
-    objects: &'a Path,
-    initializer: &'a Path,
-    weights: &'a Path,
-    network: Network,
-    device: ComputeDevice,
-    size_px: u32,
-    lines: &'a Path,
-}
 
 /// The initializer's weights, if they are what `--init` names.
 pub(super) fn initializer(args: &Args) -> Option<&Path> {
@@ -85,18 +68,18 @@ fn check_images(recordings: &mut dyn FrameSource, numbers: impl Iterator<Item = 
 fn graph(args: &Args, initializer: &Path, frames: Stride, lines: &Path) -> Result<Graph> {
     let mut graph = Graph::parse(GRAPH, Path::new("config/graphs/confirm.yaml"))?;
     let network = network(&args.training.network)?;
-    graph.set_params(&Params {
-        source: &args.training.bags[0],
-        also: &args.training.bags[1..],
-        frames,
-        objects: &args.training.objects,
-        initializer,
-        weights: &args.training.weights,
-        network,
-        device: args.training.device,
-        size_px: args.training.size,
-        lines,
-    })?;
+    graph.set_params(&json!({
+        "source": args.training.bags[0],
+        "also": args.training.bags[1..],
+        "frames": frames,
+        "objects": args.training.objects,
+        "initializer": initializer,
+        "weights": args.training.weights,
+        "network": network,
+        "device": args.training.device,
+        "size_px": args.training.size,
+        "lines": lines,
+    }))?;
     args.only_objects(&mut graph, "initializer")?;
     // The features of the flow network that is to be adapted tell the sides of the objects apart.
     if matches!(network.of(&args.training.weights)?, FlowNetwork::Raft(raft) if raft == NetworkConfig::nano()) {

@@ -5,35 +5,17 @@ use super::{Args, training};
 use anyhow::{Context as _, Result, ensure};
 use pseudoflow_cli::in_process::Written;
 use pseudoflow_cli::training::network;
-use pseudoflow_flow::Network;
-use pseudoflow_network::ComputeDevice;
-use pseudoflow_player::{InitialPoses, Sampling, open_recording};
+use pseudoflow_player::{Sampling, open_recording};
 use pseudoflow_pnp::judge::{JudgedFrame, Verdict};
 use pseudoflow_runtime::{Graph, Stride, read_lines};
-use serde::Serialize;
+use serde_json::json;
 use std::num::NonZeroU64;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const GRAPH: &str = include_str!("../../../../../config/graphs/judge.yaml");
 
 /// At most this many held-out frames are refined.
 const MOST_FRAMES: NonZeroU64 = NonZeroU64::new(80).unwrap();
-
-/// Parameters of the graph.
-#[derive(Serialize)]
-struct Params<'a> {
-    source: &'a Path,
-    also: &'a [PathBuf],
-    initial_poses: InitialPoses,
-    frames: Stride,
-    objects: &'a Path,
-    before: &'a Path,
-    after: &'a Path,
-    network: Network,
-    device: ComputeDevice,
-    size_px: u32,
-    out: &'a Path,
-}
 
 /// The verdict, and what it was made from.
 pub(super) struct Judgement {
@@ -63,19 +45,19 @@ pub(super) fn judge(args: &Args, trained: &Path, out: &Path) -> Result<Judgement
 
 fn graph(args: &Args, trained: &Path, out: &Path, frames: Stride) -> Result<Graph> {
     let mut graph = Graph::parse(GRAPH, Path::new("config/graphs/judge.yaml"))?;
-    graph.set_params(&Params {
-        source: &args.training.bags[0],
-        also: &args.training.bags[1..],
-        initial_poses: training::initial_poses(args),
-        frames,
-        objects: &args.training.objects,
-        before: &args.training.weights,
-        after: trained,
-        network: network(&args.training.network)?,
-        device: args.training.device,
-        size_px: args.training.size,
-        out,
-    })?;
+    graph.set_params(&json!({
+        "source": args.training.bags[0],
+        "also": args.training.bags[1..],
+        "initial_poses": training::initial_poses(args),
+        "frames": frames,
+        "objects": args.training.objects,
+        "before": args.training.weights,
+        "after": trained,
+        "network": network(&args.training.network)?,
+        "device": args.training.device,
+        "size_px": args.training.size,
+        "out": out,
+    }))?;
     args.only_objects(&mut graph, "player")?;
     Ok(graph)
 }

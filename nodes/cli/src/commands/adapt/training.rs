@@ -1,6 +1,6 @@
 use super::Args;
 use anyhow::Result;
-use pseudoflow_cli::training::{LabelParams, look_once};
+use pseudoflow_cli::training::look_once;
 use pseudoflow_player::InitialPoses;
 use pseudoflow_runtime::supervisor::Summary;
 use pseudoflow_runtime::{Graph, NodeSpec};
@@ -13,15 +13,15 @@ const PICTURES: u64 = 12;
 
 /// The graph of `config/graphs/adapt.yaml` with the arguments put in.
 pub(super) fn graph(args: &Args, first_step: u64) -> Result<Graph> {
-    let labels = LabelParams {
-        partners: args.labels.partners,
-        label: &args.labels.label,
-        tau: args.labels.tau,
-        accept_all: args.labels.accept_all_labels,
-        flow_weight: args.labels.flow_weight,
-        photo_weight: args.labels.photo_weight,
-    };
-    let mut graph = args.training.graph(initial_poses(args), &labels, first_step)?;
+    let labels = json!({
+        "partners": args.labels.partners,
+        "label": args.labels.label,
+        "tau": args.labels.tau,
+        "accept_all": args.labels.accept_all_labels,
+        "flow_weight": args.labels.flow_weight,
+        "photo_weight": args.labels.photo_weight,
+    });
+    let mut graph = args.training.graph(&initial_poses(args), &labels, first_step)?;
     let samples = (args.training.steps - first_step) * args.training.batch;
     graph.set("consistency.picture_every", &(samples / PICTURES).max(1).to_string())?;
     graph.set("consistency.pictures", &json!(args.training.folder().join(LABELS)).to_string())?;
