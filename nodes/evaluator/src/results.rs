@@ -7,11 +7,14 @@ pub use details::{ImageDetails, details_of_estimates, read_details};
 use pseudoflow_geometry::pose_from_quaternion;
 use pseudoflow_metrics::{Estimate, ResultsWriter};
 use pseudoflow_msgs::{GateDecision, GateDecisions, ObjectPose, ObjectPoses};
-use pseudoflow_runtime::{Context, Inputs, JsonLines, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, JsonLines, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+
+const POSES: Port<ObjectPoses<'static>> = Port::required("poses");
+const DECISIONS: Port<GateDecisions<'static>> = Port::optional("decisions");
 
 /// Settings of the results node.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -52,7 +55,8 @@ impl ResultsNode {
 }
 
 fn estimate(image: (u32, u32), pose: &ObjectPose, image_time_s: Option<f64>) -> Result<Estimate, NodeError> {
-    let camera_from_object = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).or_bad_input("poses")?;
+    let camera_from_object =
+        pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).or_bad_input(POSES.name())?;
     Ok(Estimate {
         scene_id: image.0,
         image_id: image.1,
@@ -94,10 +98,7 @@ impl Node for ResultsNode {
     type Config = ResultsConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ObjectPoses<'static>>("poses"),
-            PortSpec::optional::<GateDecisions<'static>>("decisions"),
-        ]
+        vec![POSES.spec(), DECISIONS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -124,15 +125,12 @@ impl Node for ResultsNode {
     }
 
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
-        let message = read::<ObjectPoses<'static>>(inputs, "poses")?;
+        let message = POSES.read(inputs)?;
         let image = (message.header.scene_id, message.header.image_id);
         if self.done.contains(&image) {
             return Ok(());
         }
-        let decisions: &[GateDecision] = match inputs.bytes("decisions") {
-            Some(_) => read::<GateDecisions<'static>>(inputs, "decisions")?.decisions,
-            None => &[],
-        };
+        let decisions: &[GateDecision] = DECISIONS.given(inputs)?.map_or(&[][..], |message| message.decisions);
         let poses = without_repeats(ObjectPose::likeliest(message.poses));
         if let Some(details) = &mut self.details {
             // Before the poses: an image whose poses are there is whole.

@@ -13,10 +13,16 @@ use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus, TrackPhase,
     TrackReason, Wanted,
 };
-use pseudoflow_runtime::{Context, Draws, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Draws, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+
+pub(crate) const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+pub(crate) const WANTED: Port<Wanted<'static>> = Port::optional("wanted");
+pub(crate) const POSES: Port<ObjectPoses<'static>> = Port::latest("poses");
+pub(crate) const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::required("initial_poses");
+pub(crate) const STATUS: Port<ObjectStatuses<'static>> = Port::optional("status");
 
 /// Settings of the initializer node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -145,10 +151,10 @@ impl InitializerNode {
         context: &Context,
     ) -> Result<(Vec<ObjectPose>, bool), NodeError> {
         let key = inputs.key();
-        if !inputs.is_connected("wanted") {
+        if !inputs.is_connected(WANTED.name()) {
             return Ok((poses(&self.search(frame, key, &|_, _, _| false, context)?), true));
         }
-        let wanted = read::<Wanted<'static>>(inputs, "wanted")?.object_ids;
+        let wanted = WANTED.read(inputs)?.object_ids;
         let preparing = self.finder.preparing();
         self.patience.forget_all_but(wanted);
         let known = |id: &u32| preparing.iter().all(|p| p.object_id != *id);
@@ -174,8 +180,8 @@ impl InitializerNode {
         context: &Context,
     ) -> Result<(Vec<ObjectPose>, bool), NodeError> {
         let key = inputs.key();
-        if inputs.bytes("poses").is_some() {
-            following.learn(&read::<ObjectPoses<'static>>(inputs, "poses")?, &self.memory);
+        if POSES.has_come(inputs) {
+            following.learn(&POSES.read(inputs)?, &self.memory);
         }
         let searched = following.tracker.wants_search();
         if searched {
@@ -191,7 +197,7 @@ impl InitializerNode {
 
     /// What is sent for a frame.
     fn answer(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<Sent, NodeError> {
-        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
+        let frame = FRAME.read(inputs)?;
         let ((poses, searched), statuses) = match self.following.take() {
             None => {
                 let answer = self.run_errand(&frame, inputs, context)?;
@@ -288,18 +294,11 @@ impl Node for InitializerNode {
     type Config = InitializerConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::optional::<Wanted<'static>>("wanted"),
-            PortSpec::latest::<ObjectPoses<'static>>("poses"),
-        ]
+        vec![FRAME.spec(), WANTED.spec(), POSES.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
-            PortSpec::optional::<ObjectStatuses<'static>>("status"),
-        ]
+        vec![INITIAL_POSES.spec(), STATUS.spec()]
     }
 
     fn check(config: &InitializerConfig) -> Result<(), NodeError> {
@@ -349,11 +348,11 @@ impl Node for InitializerNode {
         }
         let index = inputs.key().index;
         let Some(last) = self.memory.last().filter(|last| last.key.index < index) else { return Ok(true) };
-        if inputs.bytes("poses").is_none() {
+        if !POSES.has_come(inputs) {
             log::debug!("frame {index} waits for the refined poses of the one before: connect `poses` as feedback");
             return Ok(false);
         }
-        let header = read::<ObjectPoses<'static>>(inputs, "poses")?.header;
+        let header = POSES.read(inputs)?.header;
         Ok((header.scene_id, header.image_id) == last.image)
     }
 

@@ -9,9 +9,16 @@ use pseudoflow_imaging::ObjectSet;
 use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader, Rectangles,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Produced, Role, Stride};
+use pseudoflow_runtime::{
+    Context, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Produced, Role, Stride,
+};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+
+const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::required("initial_poses");
+const PARTNERS: Port<PartnerFrames<'static>> = Port::optional("partners");
+const RECTANGLES: Port<Rectangles<'static>> = Port::optional("rectangles");
 
 /// Plays a recording: camera frames and initial poses, any frame again when asked.
 pub struct PlayerNode {
@@ -101,7 +108,7 @@ impl PlayerNode {
         let mut partners: Vec<PartnerFrame> = loaded.iter().map(|(frame, pose)| partner(frame, *pose)).collect();
         partners.resize(sampling.partners as usize, bytemuck::Zeroable::zeroed());
         let header = PartnerFramesHeader { instances: 1, partners_per_instance: sampling.partners };
-        outputs.send("partners", key, PartnerFrames::byte_len(&partners), &mut |bytes| {
+        PARTNERS.send(outputs, key, PartnerFrames::byte_len(&partners), &mut |bytes| {
             for (out, (frame, _)) in PartnerFrames::write(bytes, header, &partners).zip(&loaded) {
                 out.copy_from_slice(&frame.rgb);
             }
@@ -131,12 +138,7 @@ impl Node for PlayerNode {
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
-            PortSpec::optional::<PartnerFrames<'static>>("partners"),
-            PortSpec::optional::<Rectangles<'static>>("rectangles"),
-        ]
+        vec![FRAME.spec(), INITIAL_POSES.spec(), PARTNERS.spec(), RECTANGLES.spec()]
     }
 
     fn check(config: &PlayerConfig) -> Result<(), NodeError> {
@@ -217,20 +219,20 @@ impl Node for PlayerNode {
         let key = FrameKey { index, stamp_ns: self.config.hz.map_or(frame.stamp_ns, of_rate) };
         if let Some(sample) = &sample {
             frame.initial_poses = vec![frame.initial_poses[sample.pose]];
-            if outputs.is_connected("partners") {
+            if outputs.is_connected(PARTNERS.name()) {
                 self.send_partners(sample, key, outputs, context)?;
             }
         }
         let header = frame.header;
         let len = CameraFrame::byte_len(header.width, header.height);
-        outputs
-            .send("frame", key, len, &mut |bytes| CameraFrame::write(bytes, header).rgb.copy_from_slice(&frame.rgb))?;
+        FRAME
+            .send(outputs, key, len, &mut |bytes| CameraFrame::write(bytes, header).rgb.copy_from_slice(&frame.rgb))?;
         let poses = &frame.initial_poses;
-        outputs.send("initial_poses", key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+        INITIAL_POSES.send(outputs, key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, header.scene_id, header.image_id, poses);
         })?;
         let seen = &frame.rectangles;
-        outputs.send("rectangles", key, Rectangles::byte_len(seen.len()), &mut |bytes| {
+        RECTANGLES.send(outputs, key, Rectangles::byte_len(seen.len()), &mut |bytes| {
             Rectangles::write(bytes, header.scene_id, header.image_id, seen);
         })?;
         Ok(Produced::Frame(key))

@@ -8,10 +8,17 @@ use pseudoflow_msgs::{
     CameraFrame, FlowFields, GateDecision, GateDecisions, ObjectPose, ObjectPoses, PoseSource, PoseStatus,
     ReferenceViews,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role};
 use pseudoflow_solver::{PnpResult, PnpStatus};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
+
+pub(crate) const VIEWS: Port<ReferenceViews<'static>> = Port::optional("views");
+pub(crate) const FLOW: Port<FlowFields<'static>> = Port::optional("flow");
+pub(crate) const FRAME: Port<CameraFrame<'static>> = Port::optional("frame");
+pub(crate) const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::optional("initial_poses");
+pub(crate) const POSES: Port<ObjectPoses<'static>> = Port::required("poses");
+pub(crate) const DECISIONS: Port<GateDecisions<'static>> = Port::optional("decisions");
 
 /// Views and flow in, refined poses out.
 pub struct PnpNode {
@@ -141,9 +148,9 @@ impl PnpNode {
             let mut rng = draws(&self.config, inputs, context)?;
             return Ok(best_of_each(joint.looks(inputs, rng.random())?));
         }
-        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
-        let flow = read::<FlowFields<'static>>(inputs, "flow")?;
-        belong_together(&views, &flow).or_bad_input("flow")?;
+        let views = VIEWS.read(inputs)?;
+        let flow = FLOW.read(inputs)?;
+        belong_together(&views, &flow).or_bad_input(FLOW.name())?;
         let mut rng = draws(&self.config, inputs, context)?;
         let skipped = |pose: &ObjectPose| Look { pose: *pose, seen: f64::NEG_INFINITY, refinement: None };
         let mut looks: Vec<Look> = views.skipped.iter().map(skipped).collect();
@@ -194,11 +201,11 @@ fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
 
 /// BOP scene and image of a frame.
 fn image(inputs: &dyn Inputs) -> Result<(u32, u32), NodeError> {
-    if inputs.bytes("views").is_some() {
-        let header = read::<ReferenceViews<'static>>(inputs, "views")?.header;
+    if VIEWS.has_come(inputs) {
+        let header = VIEWS.read(inputs)?.header;
         return Ok((header.scene_id, header.image_id));
     }
-    let header = read::<ObjectPoses<'static>>(inputs, "initial_poses")?.header;
+    let header = INITIAL_POSES.read(inputs)?.header;
     Ok((header.scene_id, header.image_id))
 }
 
@@ -215,19 +222,11 @@ impl Node for PnpNode {
 
     fn inputs() -> Vec<PortSpec> {
         // Which of them are needed depends on `stages`: see `needs`.
-        vec![
-            PortSpec::optional::<ReferenceViews<'static>>("views"),
-            PortSpec::optional::<FlowFields<'static>>("flow"),
-            PortSpec::optional::<CameraFrame<'static>>("frame"),
-            PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
-        ]
+        vec![VIEWS.spec(), FLOW.spec(), FRAME.spec(), INITIAL_POSES.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ObjectPoses<'static>>("poses"),
-            PortSpec::optional::<GateDecisions<'static>>("decisions"),
-        ]
+        vec![POSES.spec(), DECISIONS.spec()]
     }
 
     fn check(config: &PnpNodeConfig) -> Result<(), NodeError> {
@@ -241,10 +240,10 @@ impl Node for PnpNode {
 
     fn needs(config: &PnpNodeConfig) -> Vec<&'static str> {
         match config.stages {
-            Stages::Flow => vec!["views", "flow"],
+            Stages::Flow => vec![VIEWS.name(), FLOW.name()],
             // Rough poses come by `initial_poses` or in `views`.
-            Stages::Region => vec!["frame"],
-            Stages::Joint => vec!["views", "flow", "frame"],
+            Stages::Region => vec![FRAME.name()],
+            Stages::Joint => vec![VIEWS.name(), FLOW.name(), FRAME.name()],
         }
     }
 
@@ -256,23 +255,23 @@ impl Node for PnpNode {
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {
-        match inputs.bytes("views") {
-            Some(_) => Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects()),
-            None => Some(read::<ObjectPoses<'static>>(inputs, "initial_poses").ok()?.poses.len()),
+        match VIEWS.given(inputs).ok()? {
+            Some(views) => Some(views.objects()),
+            None => Some(INITIAL_POSES.read(inputs).ok()?.poses.len()),
         }
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let looks = self.looks(inputs, context)?;
-        if outputs.is_connected("decisions") {
+        if outputs.is_connected(DECISIONS.name()) {
             let decisions: Vec<GateDecision> = looks.iter().filter_map(Look::decision).collect();
-            outputs.send("decisions", inputs.key(), GateDecisions::byte_len(decisions.len()), &mut |bytes| {
+            DECISIONS.send(outputs, inputs.key(), GateDecisions::byte_len(decisions.len()), &mut |bytes| {
                 GateDecisions::write(bytes, &decisions);
             })?;
         }
         let poses: Vec<ObjectPose> = looks.into_iter().map(|look| look.pose).collect();
         let (scene_id, image_id) = image(inputs)?;
-        outputs.send("poses", inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+        POSES.send(outputs, inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, &poses);
         })
     }

@@ -14,8 +14,9 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// Columns of the table.
-const SCORES: [(&str, fn(&Scores) -> f64); 5] = [
+/// A column of the table: its name and its score.
+type Column = (&'static str, fn(&Scores) -> f64);
+const SCORES: [Column; 5] = [
     ("add_s_recall_0.1d", |scores| scores.add_s_recall),
     ("auc_add_s", |scores| scores.auc_add_s),
     ("mssd_recall", |scores| scores.mssd_recall),

@@ -5,7 +5,7 @@ use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use pseudoflow_geometry::quaternion_xyzw;
 use pseudoflow_msgs::{FlowFields, ObjectPose, ReferenceViews};
 use pseudoflow_runtime::{
-    Context, Inputs, JsonLines, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, files, read, read_lines,
+    Context, Inputs, JsonLines, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role, files, read_lines,
 };
 use pseudoflow_solver::{PnpConfig, PnpStatus};
 use schemars::JsonSchema;
@@ -14,11 +14,11 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 /// Renderings and real crops.
-const VIEWS: &str = "views";
+const VIEWS: Port<ReferenceViews<'static>> = Port::required("views");
 /// Flow of the first network.
-const FLOW: &str = "flow";
+const FLOW: Port<FlowFields<'static>> = Port::required("flow");
 /// Flow of the second network.
-const FLOW_AFTER: &str = "flow_after";
+const FLOW_AFTER: Port<FlowFields<'static>> = Port::optional("flow_after");
 
 /// Settings of the judge node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -67,19 +67,19 @@ impl JudgeNode {
         &mut self,
         views: &ReferenceViews<'_>,
         inputs: &dyn Inputs,
-        port: &'static str,
+        port: &Port<FlowFields<'static>>,
         seed: u64,
     ) -> Result<Vec<Judged>, NodeError> {
-        let flow = read::<FlowFields<'static>>(inputs, port)?;
-        belong_together(views, &flow).or_bad_input(port)?;
+        let flow = port.read(inputs)?;
+        belong_together(views, &flow).or_bad_input(port.name())?;
         (0..views.header.instances as usize).map(|at| self.judged(&planes(views, &flow, at)?, seed)).collect()
     }
 
     fn judge(&mut self, inputs: &dyn Inputs, seed: u64) -> Result<JudgedFrame, NodeError> {
-        let views = read::<ReferenceViews<'static>>(inputs, VIEWS)?;
-        let before = self.by_flow(&views, inputs, FLOW, seed)?;
-        let mut after = match inputs.bytes(FLOW_AFTER) {
-            Some(_) => self.by_flow(&views, inputs, FLOW_AFTER, seed)?.into_iter(),
+        let views = VIEWS.read(inputs)?;
+        let before = self.by_flow(&views, inputs, &FLOW, seed)?;
+        let mut after = match inputs.bytes(FLOW_AFTER.name()) {
+            Some(_) => self.by_flow(&views, inputs, &FLOW_AFTER, seed)?.into_iter(),
             None => Vec::new().into_iter(),
         };
         let firsts = views.views.iter().step_by(views.header.views_per_instance.max(1) as usize);
@@ -113,11 +113,7 @@ impl Node for JudgeNode {
     type Config = JudgeConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ReferenceViews<'static>>(VIEWS),
-            PortSpec::required::<FlowFields<'static>>(FLOW),
-            PortSpec::optional::<FlowFields<'static>>(FLOW_AFTER),
-        ]
+        vec![VIEWS.spec(), FLOW.spec(), FLOW_AFTER.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -133,7 +129,7 @@ impl Node for JudgeNode {
     }
 
     fn needs(config: &JudgeConfig) -> Vec<&'static str> {
-        config.verdict.iter().map(|_| FLOW_AFTER).collect()
+        config.verdict.iter().map(|_| FLOW_AFTER.name()).collect()
     }
 
     fn create(config: JudgeConfig, context: &Context) -> Result<Self, NodeError> {
@@ -151,7 +147,7 @@ impl Node for JudgeNode {
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {
-        Some(read::<ReferenceViews<'static>>(inputs, VIEWS).ok()?.objects())
+        Some(VIEWS.read(inputs).ok()?.objects())
     }
 
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {

@@ -4,14 +4,14 @@ use crate::truth::{Truth, TruthFiles};
 use anyhow::Result;
 use pseudoflow_consistency::label_panel;
 use pseudoflow_msgs::{FlowFields, PseudoLabels, ReferenceViews};
-use pseudoflow_runtime::{Context, Inputs, JsonLines, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, JsonLines, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-const VIEWS: &str = "views";
-const FLOW: &str = "flow";
-const LABELS: &str = "labels";
+const VIEWS: Port<ReferenceViews<'static>> = Port::required("views");
+const FLOW: Port<FlowFields<'static>> = Port::required("flow");
+const LABELS: Port<PseudoLabels<'static>> = Port::required("labels");
 
 /// Largest disagreements, pixels of a 256 px crop, that labels are counted for.
 pub(crate) const TAUS_AT_256: [f32; 6] = [0.5, 1.0, 1.5, 2.0, 4.0, 8.0];
@@ -101,11 +101,7 @@ impl Node for AuditNode {
     type Config = AuditConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ReferenceViews<'static>>(VIEWS),
-            PortSpec::required::<FlowFields<'static>>(FLOW),
-            PortSpec::required::<PseudoLabels<'static>>(LABELS),
-        ]
+        vec![VIEWS.spec(), FLOW.spec(), LABELS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -122,11 +118,11 @@ impl Node for AuditNode {
     }
 
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
-        let views = read::<ReferenceViews<'static>>(inputs, VIEWS)?;
-        let labels = read::<PseudoLabels<'static>>(inputs, LABELS)?;
+        let views = VIEWS.read(inputs)?;
+        let labels = LABELS.read(inputs)?;
         self.lines.write(&self.count(&views, &labels)?)?;
         if let Some(folder) = self.pictures.as_ref().filter(|_| inputs.key().index < MOST_PICTURES) {
-            draw(&views, &read::<FlowFields<'static>>(inputs, FLOW)?, &labels, folder)?;
+            draw(&views, &FLOW.read(inputs)?, &labels, folder)?;
         }
         Ok(())
     }

@@ -2,11 +2,11 @@
 
 use crate::truth::{Truth, TruthFiles};
 use pseudoflow_msgs::{FlowFields, FlowFieldsHeader, PseudoLabels, PseudoLabelsHeader, ReferenceViews};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 
-const VIEWS: &str = "views";
-const FLOW: &str = "flow";
-const LABELS: &str = "labels";
+const VIEWS: Port<ReferenceViews<'static>> = Port::required("views");
+const FLOW: Port<FlowFields<'static>> = Port::required("flow");
+const LABELS: Port<PseudoLabels<'static>> = Port::required("labels");
 
 /// Views in, their true flow as labels out. `flow` is zero: only the photometric loss, which has no use here, would look at it.
 pub(crate) struct TruthNode(Truth);
@@ -17,11 +17,11 @@ impl Node for TruthNode {
     type Config = TruthFiles;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<ReferenceViews<'static>>(VIEWS)]
+        vec![VIEWS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<FlowFields<'static>>(FLOW), PortSpec::required::<PseudoLabels<'static>>(LABELS)]
+        vec![FLOW.spec(), LABELS.spec()]
     }
 
     fn check(files: &TruthFiles) -> Result<(), NodeError> {
@@ -33,7 +33,7 @@ impl Node for TruthNode {
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
-        let views = read::<ReferenceViews<'static>>(inputs, VIEWS)?;
+        let views = VIEWS.read(inputs)?;
         send_no_flow(&views, inputs, outputs)?;
         let truths = (0..views.views.len()).map(|number| self.0.flow(&views, number)).collect::<Result<Vec<_>, _>>()?;
         let header = PseudoLabelsHeader {
@@ -46,7 +46,7 @@ impl Node for TruthNode {
             tau_px: 0.0,
         };
         let (n, area) = (header.views_per_instance as usize, (header.size_px as usize).pow(2));
-        outputs.send(LABELS, inputs.key(), PseudoLabels::byte_len(&header), &mut |bytes| {
+        LABELS.send(outputs, inputs.key(), PseudoLabels::byte_len(&header), &mut |bytes| {
             bytes.fill(0);
             let labels = PseudoLabels::write(bytes, header);
             for (number, truth) in truths.iter().enumerate() {
@@ -72,7 +72,7 @@ fn send_no_flow(views: &ReferenceViews<'_>, inputs: &dyn Inputs, outputs: &mut d
         has_certainty: 0,
         reserved: 0,
     };
-    outputs.send(FLOW, inputs.key(), FlowFields::byte_len(&header), &mut |bytes| {
+    FLOW.send(outputs, inputs.key(), FlowFields::byte_len(&header), &mut |bytes| {
         bytes.fill(0);
         FlowFields::write(bytes, header);
     })
