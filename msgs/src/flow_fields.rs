@@ -20,7 +20,7 @@ pub struct FlowFieldsHeader {
 
 /// Flow from each rendered reference to the real crop, and from view 0 of each instance to its partners' crops.
 ///
-/// Producer: flow. Consumers: pnp, consistency, trainer. With `V` views, field `v < V` belongs to view v of the frame's
+/// Producer: flow. Consumers: pnp, judge, consistency, trainer. With `V` views, field `v < V` belongs to view v of the frame's
 /// `ReferenceViews` and field `V + p` to its partner p (zero where there is none).
 #[derive(Debug, Clone, Copy)]
 pub struct FlowFields<'a> {

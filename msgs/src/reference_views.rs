@@ -56,7 +56,7 @@ pub struct ReferenceView {
 /// For each object of a frame: the real crop and `n` renderings at and around its initial pose; for training also
 /// the crops of `m` partners.
 ///
-/// Producer: renderer. Consumers: flow, pnp, consistency, trainer. Instance i owns views `i n .. (i + 1) n` and
+/// Producer: renderer. Consumers: flow, pnp, judge, consistency, trainer. Instance i owns views `i n .. (i + 1) n` and
 /// partners `i m .. (i + 1) m`.
 #[derive(Debug, Clone, Copy)]
 pub struct ReferenceViews<'a> {

@@ -16,22 +16,14 @@ fn start(out: &Path) -> Child {
     let errors = std::fs::File::create(out.join("stderr.txt")).expect("a file");
     let out = out.display();
     let settings = [
-        format!("trainer.out={out}/training"),
-        format!("trainer.steps={STEPS}"),
-        "trainer.frames_per_step=2".into(),
-        "trainer.publish_every=1".into(),
-        "trainer.size_px=64".into(),
-        format!("player.sampling.samples={}", 2 * STEPS),
-        "player.sampling.partners=1".into(),
-        "look.size_px=64".into(),
-        "look_flow.size_px=64".into(),
-        "look_flow.iterations=4".into(),
-        "look_flow.lockstep={frames_per_step: 2, publish_every: 1}".into(),
-        "renderer.size_px=64".into(),
-        "flow.size_px=64".into(),
-        "flow.iterations=4".into(),
-        "flow.lockstep={frames_per_step: 2, publish_every: 1}".into(),
-        "consistency.tau_px_at_256=16".into(),
+        format!("out={out}/training"),
+        format!("steps={STEPS}"),
+        format!("samples={}", 2 * STEPS),
+        "frames_per_step=2".into(),
+        "publish_every=1".into(),
+        "size_px=64".into(),
+        "iterations=4".into(),
+        "tau=16".into(),
         "window=6".into(),
     ];
     let settings = settings.into_iter().flat_map(|setting| ["--set".to_owned(), setting]);
@@ -146,4 +138,45 @@ fn adapt_refuses_what_it_cannot_use() {
     assert!(said.contains("--resume"), "{said}");
     let said = refused(&["--bag", "bags/tabletop_demo", "--weights", weights, "--held-out-every", "1"]);
     assert!(said.contains("--held-out-every"), "{said}");
+}
+
+#[test]
+fn a_verdict_is_that_of_its_graph_in_processes_or_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let judge = |name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        let set = ["--set", "size_px=64", "--set", "frames={start: 2, step: 3}", "--set"];
+        let mut command = pseudoflow();
+        command.args(["run", "config/graphs/judge.yaml", "--out"]).arg(out.join("run")).args(more);
+        let output = command.args(set).arg(format!("out={}", out.display())).output().expect("the binary starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        ["verdict.json", "judged.jsonl"].map(|file| std::fs::read_to_string(out.join(file)).expect("written"))
+    };
+    let [verdict, lines] = judge("one", &["--in-process"]);
+    assert_eq!(judge("processes", &[]), [verdict.clone(), lines.clone()]);
+    assert_eq!(lines.lines().count(), 5, "{lines}");
+    assert!(verdict.contains("\"frames\": 5") && verdict.contains("\"interval\""), "{verdict}");
+}
+
+#[test]
+fn adapt_leaves_the_graph_of_its_verdict() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("a.safetensors");
+    let base =
+        ["adapt", "--bag", "bags/tabletop_demo", "--init", "/initial_poses", "--objects", "config/objects/tabletop"];
+    let rest =
+        ["--weights", "config/weights/nano_tabletop.safetensors", "--steps", "1", "--batch", "1", "--size", "64"];
+    let more = ["--label-size", "64", "--held-out-every", "3", "--out", out.to_str().expect("utf-8")];
+    let output = common::run(&[&base[..], &rest, &more].concat());
+    // 3: one step makes nothing better.
+    assert_eq!(output.status.code(), Some(3), "{}", String::from_utf8_lossy(&output.stderr));
+    let folder = out.with_extension("adapt");
+    let read = |name: &str| std::fs::read_to_string(folder.join(name)).expect("written");
+    assert!(read("report.html").contains("Held-out instances"));
+    let (graph, verdict) = (folder.join("judge.yaml").display().to_string(), read("verdict.json"));
+    assert!(common::run(&["check", &graph]).status.success());
+    std::fs::remove_file(folder.join("verdict.json")).expect("removed");
+    let run = folder.join("again").display().to_string();
+    assert!(common::run(&["run", &graph, "--in-process", "--out", &run]).status.success());
+    assert_eq!(read("verdict.json"), verdict);
 }

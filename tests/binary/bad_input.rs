@@ -221,6 +221,6 @@ fn result_files_and_their_names() {
     assert_says(&eval(&named("a_b_set-test.csv"), &["--weights", weights]), &["METHOD without `_`"]);
     assert_says(&eval(&named("nowhere_set-test.csv"), &[]), &["set"]);
     assert_says(&refused(&["eval"]), &["--dataset"]);
-    assert_says(&refused(&["eval", "--compare", "a.json", "b.json"]), &["a.json"]);
+    assert_says(&refused(&["eval", "--compare", "a.json", "b.json"]), &["pseudoflow compare"]);
     assert!(std::fs::read_dir(folder.path()).expect("the folder").count() == 1, "nothing is left behind");
 }

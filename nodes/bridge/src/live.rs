@@ -4,10 +4,11 @@ use crate::camera::{Camera, Picture, received, stamp_of};
 use crate::detections::{Answer, Matcher, Memory, Remembered};
 use crate::ledger::Ledger;
 use crate::names::Names;
+use crate::node::{DETECTED, FOUND, FRAME, INITIAL_POSES};
 use crate::{BridgeConfig, BridgeError, CameraConfig, Participant, sensor_qos};
 use pseudoflow_msgs::ros::{Detection2DArray, Detection3DArray, Naming, RosMessage};
 use pseudoflow_msgs::{CameraFrame, CameraFrameHeader, DetectedFrame, FrameKey, ObjectPose, ObjectPoses};
-use pseudoflow_runtime::{Context, NodeError, Outputs, Produced};
+use pseudoflow_runtime::{Context, NodeError, Outputs, Port, Produced};
 use ros2_client::{Name, Subscription};
 use std::collections::VecDeque;
 
@@ -108,9 +109,9 @@ impl LiveCamera {
         if let Some(detector) = &mut self.rectangles {
             detector.receive(ears.ledger);
         }
-        let joined = self.detections.is_some() && outputs.is_connected("initial_poses");
+        let joined = self.detections.is_some() && outputs.is_connected(INITIAL_POSES.name());
         let next = self.camera.next(ears.participant, ears.names, ears.ledger, &mut self.rgb)?;
-        let keep_pixels = self.rectangles.is_some() && outputs.is_connected("detected");
+        let keep_pixels = self.rectangles.is_some() && outputs.is_connected(DETECTED.name());
         let fresh = next.map(|picture| (self.admit(&picture, keep_pixels), picture));
         self.send_rectangles(ears, outputs)?;
         if joined {
@@ -122,7 +123,7 @@ impl LiveCamera {
         self.send_found(ears, outputs)?;
         let Some((key, picture)) = fresh else { return Ok(Produced::Nothing) };
         send_frame(outputs, key, &picture, &self.rgb)?;
-        send_poses(outputs, "initial_poses", key, &[])?;
+        send_poses(outputs, &INITIAL_POSES, key, &[])?;
         Ok(Produced::Frame(key))
     }
 
@@ -156,7 +157,7 @@ impl LiveCamera {
             };
             let Some(Waiting { key, picture, rgb }) = self.waiting.drain(..=at).next_back() else { continue };
             send_frame(outputs, key, &picture, &rgb)?;
-            send_poses(outputs, "initial_poses", key, &poses)?;
+            send_poses(outputs, &INITIAL_POSES, key, &poses)?;
             return Ok(Produced::Frame(key));
         }
         Ok(Produced::Nothing)
@@ -165,7 +166,7 @@ impl LiveCamera {
     fn send_found(&mut self, ears: &mut Ears<'_>, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
         let Some(detector) = &mut self.detections else { return Ok(()) };
         while let Some((key, poses)) = detector.matcher.take(&self.memory, ears.naming, ears.ledger) {
-            send_poses(outputs, "found", key, &poses)?;
+            send_poses(outputs, &FOUND, key, &poses)?;
         }
         Ok(())
     }
@@ -174,7 +175,7 @@ impl LiveCamera {
         let Some(detector) = &mut self.rectangles else { return Ok(()) };
         while let Some((key, found)) = detector.matcher.take(&self.memory, ears.naming, ears.ledger) {
             let Some(Remembered { header, rgb: Some(rgb), .. }) = self.memory.image_of(key) else { continue };
-            outputs.send("detected", key, DetectedFrame::byte_len(header, found.len()), &mut |bytes| {
+            DETECTED.send(outputs, key, DetectedFrame::byte_len(header, found.len()), &mut |bytes| {
                 DetectedFrame::write(bytes, *header, &found, rgb);
             })?;
         }
@@ -190,18 +191,18 @@ fn header(key: FrameKey, picture: &Picture) -> CameraFrameHeader {
 
 fn send_frame(outputs: &mut dyn Outputs, key: FrameKey, picture: &Picture, rgb: &[u8]) -> Result<(), NodeError> {
     let header = header(key, picture);
-    outputs.send("frame", key, CameraFrame::byte_len(header.width, header.height), &mut |bytes| {
+    FRAME.send(outputs, key, CameraFrame::byte_len(header.width, header.height), &mut |bytes| {
         CameraFrame::write(bytes, header).rgb.copy_from_slice(rgb);
     })
 }
 
 fn send_poses(
     outputs: &mut dyn Outputs,
-    port: &'static str,
+    port: &Port<ObjectPoses<'static>>,
     key: FrameKey,
     poses: &[ObjectPose],
 ) -> Result<(), NodeError> {
-    outputs.send(port, key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+    port.send(outputs, key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
         ObjectPoses::write(bytes, 0, key.index as u32, poses);
     })
 }

@@ -6,9 +6,16 @@ use crate::{BridgeConfig, BridgeError, DdsEnvironment, Participant};
 use pseudoflow_msgs::{CameraFrame, DetectedFrame, ObjectPoses, ObjectStatuses};
 use pseudoflow_runtime::supervisor::{Severity, Warnings};
 use pseudoflow_runtime::{
-    BadFrames, Context, Inputs, MissingInput, Node, NodeError, Outputs, PortSpec, Produced, Refused, Role, read,
+    BadFrames, Context, Inputs, MissingInput, Node, NodeError, Outputs, Port, PortSpec, Produced, Refused, Role,
 };
 use std::time::{Duration, Instant};
+
+pub(crate) const POSES: Port<ObjectPoses<'static>> = Port::optional("poses");
+pub(crate) const FRAME: Port<CameraFrame<'static>> = Port::optional("frame");
+pub(crate) const STATUS: Port<ObjectStatuses<'static>> = Port::optional("status");
+pub(crate) const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::optional("initial_poses");
+pub(crate) const FOUND: Port<ObjectPoses<'static>> = Port::optional("found");
+pub(crate) const DETECTED: Port<DetectedFrame<'static>> = Port::optional("detected");
 
 /// How long the participant stays after the last message, for subscribers that ask for a repeat.
 const LINGER: Duration = Duration::from_millis(200);
@@ -35,20 +42,11 @@ impl Node for Bridge {
     type Config = BridgeConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::optional::<ObjectPoses>("poses"),
-            PortSpec::optional::<CameraFrame>("frame"),
-            PortSpec::optional::<ObjectStatuses>("status"),
-        ]
+        vec![POSES.spec(), FRAME.spec(), STATUS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::optional::<CameraFrame>("frame"),
-            PortSpec::optional::<ObjectPoses>("initial_poses"),
-            PortSpec::optional::<ObjectPoses>("found"),
-            PortSpec::optional::<DetectedFrame>("detected"),
-        ]
+        vec![FRAME.spec(), INITIAL_POSES.spec(), FOUND.spec(), DETECTED.spec()]
     }
 
     fn check(config: &BridgeConfig) -> Result<(), NodeError> {
@@ -78,21 +76,18 @@ impl Node for Bridge {
     /// Publishes a frame's poses. Where the graph gives no `frame`, they are poses of the bridge's own camera.
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         self.report()?;
-        let poses = read::<ObjectPoses>(inputs, "poses")?;
+        let poses = POSES.read(inputs)?;
         let key = inputs.key();
-        let frame_id = match (inputs.bytes("frame"), self.camera.as_ref().map(LiveCamera::frame_id)) {
-            (Some(_), _) => read::<CameraFrame>(inputs, "frame")?.header.frame_id(),
+        let frame_id = match (FRAME.given(inputs)?, self.camera.as_ref().map(LiveCamera::frame_id)) {
+            (Some(frame), _) => frame.header.frame_id(),
             (None, Some(Some(frame_id))) => frame_id,
             (None, Some(None)) => {
                 log::info!("frame {}: its image came in an earlier life of this node; not published", key.index);
                 return Ok(());
             }
-            (None, None) => return Err(MissingInput("frame").into()),
+            (None, None) => return Err(MissingInput(FRAME.name()).into()),
         };
-        let statuses = match inputs.bytes("status") {
-            Some(_) => Some(read::<ObjectStatuses>(inputs, "status")?.statuses),
-            None => None,
-        };
+        let statuses = STATUS.given(inputs)?.map(|message| message.statuses);
         Ok(self.publisher.publish(&mut self.participant, &self.names, key, frame_id, poses.poses, statuses)?)
     }
 

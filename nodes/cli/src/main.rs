@@ -1,7 +1,6 @@
 //! The one binary, `pseudoflow`: starts graphs and nodes, and holds the offline commands.
 
 mod commands;
-mod pipeline;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -68,6 +67,7 @@ fn registry() -> Registry {
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_consistency::ConsistencyNode>()
         .with::<pseudoflow_pnp::PnpNode>()
+        .with::<pseudoflow_pnp::judge::JudgeNode>()
         .with::<pseudoflow_trainer::adapt::TrainerNode>()
         .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()

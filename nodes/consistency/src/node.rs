@@ -5,10 +5,15 @@ use pseudoflow_imaging::encode_jpeg;
 use pseudoflow_msgs::{
     FlowFields, InstanceLabels, Message, Pictures, PseudoLabels, PseudoLabelsHeader, PseudoLabelsMut, ReferenceViews,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+
+const VIEWS: Port<ReferenceViews<'static>> = Port::required("views");
+const FLOW: Port<FlowFields<'static>> = Port::required("flow");
+const LABELS: Port<PseudoLabels<'static>> = Port::required("labels");
+const PICTURES: Port<Pictures<'static>> = Port::optional("pictures");
 
 const JPEG_QUALITY: u8 = 90;
 
@@ -143,11 +148,11 @@ impl Node for ConsistencyNode {
     type Config = ConsistencyConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<ReferenceViews<'static>>("views"), PortSpec::required::<FlowFields<'static>>("flow")]
+        vec![VIEWS.spec(), FLOW.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<PseudoLabels<'static>>("labels"), PortSpec::optional::<Pictures<'static>>("pictures")]
+        vec![LABELS.spec(), PICTURES.spec()]
     }
 
     fn check(config: &ConsistencyConfig) -> Result<(), NodeError> {
@@ -172,8 +177,8 @@ impl Node for ConsistencyNode {
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
-        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
-        let flow = read::<FlowFields<'static>>(inputs, "flow")?;
+        let views = VIEWS.read(inputs)?;
+        let flow = FLOW.read(inputs)?;
         together(&views, &flow)?;
         let header = PseudoLabelsHeader {
             weights_version: flow.header.weights_version,
@@ -185,10 +190,10 @@ impl Node for ConsistencyNode {
             tau_px: self.rule(views.header.size_px).tau_px as f32,
         };
         let mut result = Ok(());
-        let shows = outputs.is_connected("pictures");
+        let shows = outputs.is_connected(PICTURES.name());
         let drawn = self.config.picture_every.filter(|every| inputs.key().index.is_multiple_of(*every));
         let (mut panel, mut tiles) = (None, None);
-        outputs.send("labels", inputs.key(), PseudoLabels::byte_len(&header), &mut |bytes| {
+        LABELS.send(outputs, inputs.key(), PseudoLabels::byte_len(&header), &mut |bytes| {
             result = self.label(&views, &flow, &mut PseudoLabels::write(bytes, header));
             let Ok(labels) = PseudoLabels::view(bytes) else { return };
             panel = drawn.and_then(|_| label_panel(&views, &flow, &labels, 0));
@@ -202,7 +207,7 @@ impl Node for ConsistencyNode {
         if shows {
             let encoded = tiles.into_iter().flatten().map(|(name, tile)| Ok((name, encode_jpeg(&tile, JPEG_QUALITY)?)));
             let pictures = encoded.collect::<Result<Vec<_>, NodeError>>()?;
-            outputs.send("pictures", inputs.key(), Pictures::byte_len(&pictures), &mut |bytes| {
+            PICTURES.send(outputs, inputs.key(), Pictures::byte_len(&pictures), &mut |bytes| {
                 Pictures::write(bytes, &pictures);
             })?;
         }

@@ -3,13 +3,17 @@ use pseudoflow_geometry::{Intrinsics, pose_from_quaternion};
 use pseudoflow_imaging::{BopFrame, ObjectSet};
 use pseudoflow_metrics::{Estimate, KnownIds, SceneTruth, TruthInstance, VISIB_GT_MIN};
 use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses, PoseSource};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+
+const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::required("initial_poses");
+const POSES: Port<ObjectPoses<'static>> = Port::required("poses");
 
 /// Settings of the evaluator node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -78,11 +82,7 @@ impl Node for EvaluatorNode {
     type Config = EvaluatorConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
-            PortSpec::required::<ObjectPoses<'static>>("poses"),
-        ]
+        vec![FRAME.spec(), INITIAL_POSES.spec(), POSES.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -114,9 +114,9 @@ impl Node for EvaluatorNode {
     }
 
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
-        let header = read::<CameraFrame<'static>>(inputs, "frame")?.header;
-        let poses = |port| -> Result<Vec<PoseLine>, NodeError> {
-            let poses = read::<ObjectPoses<'static>>(inputs, port)?.poses;
+        let header = FRAME.read(inputs)?.header;
+        let poses = |port: &Port<ObjectPoses<'static>>| -> Result<Vec<PoseLine>, NodeError> {
+            let poses = port.read(inputs)?.poses;
             Ok(ObjectPose::likeliest(poses).map(PoseLine::from).collect())
         };
         let [fx, fy, cx, cy] = header.intrinsics;
@@ -126,8 +126,8 @@ impl Node for EvaluatorNode {
             image_id: header.image_id,
             size_px: (header.width, header.height),
             intrinsics: Intrinsics { fx, fy, cx, cy },
-            initial: poses("initial_poses")?,
-            refined: poses("poses")?,
+            initial: poses(&INITIAL_POSES)?,
+            refined: poses(&POSES)?,
         };
         // A leading newline ends what a killed predecessor may have left half written.
         let text = format!("\n{}", serde_json::to_string(&line)?);

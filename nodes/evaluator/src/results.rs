@@ -4,15 +4,17 @@ mod details;
 
 pub use details::{ImageDetails, details_of_estimates, read_details};
 
-use details::DetailsWriter;
 use pseudoflow_geometry::pose_from_quaternion;
 use pseudoflow_metrics::{Estimate, ResultsWriter};
 use pseudoflow_msgs::{GateDecision, GateDecisions, ObjectPose, ObjectPoses};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, JsonLines, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+
+const POSES: Port<ObjectPoses<'static>> = Port::required("poses");
+const DECISIONS: Port<GateDecisions<'static>> = Port::optional("decisions");
 
 /// Settings of the results node.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -32,7 +34,7 @@ pub struct ResultsNode {
     /// The file, where it will lie at the end, and the images in it.
     csv: Option<(ResultsWriter, PathBuf)>,
     done: BTreeSet<(u32, u32)>,
-    details: Option<DetailsWriter>,
+    details: Option<JsonLines>,
 }
 
 /// Where a result file grows.
@@ -53,7 +55,8 @@ impl ResultsNode {
 }
 
 fn estimate(image: (u32, u32), pose: &ObjectPose, image_time_s: Option<f64>) -> Result<Estimate, NodeError> {
-    let camera_from_object = pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).or_bad_input("poses")?;
+    let camera_from_object =
+        pose_from_quaternion(&pose.rotation_xyzw, &pose.translation_m).or_bad_input(POSES.name())?;
     Ok(Estimate {
         scene_id: image.0,
         image_id: image.1,
@@ -95,10 +98,7 @@ impl Node for ResultsNode {
     type Config = ResultsConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ObjectPoses<'static>>("poses"),
-            PortSpec::optional::<GateDecisions<'static>>("decisions"),
-        ]
+        vec![POSES.spec(), DECISIONS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -117,23 +117,20 @@ impl Node for ResultsNode {
 
     fn create(config: ResultsConfig, context: &Context) -> Result<Self, NodeError> {
         let append = config.append || context.restarts > 0;
-        config.csv.iter().chain(&config.details).try_for_each(|path| make_folder_of(path))?;
-        let details = config.details.as_deref().map(|path| DetailsWriter::open(path, append)).transpose()?;
+        config.csv.as_deref().map(make_folder_of).transpose()?;
+        let details = config.details.as_deref().map(|path| JsonLines::open(path, append)).transpose()?;
         let mut node = Self { csv: None, done: BTreeSet::new(), details };
         config.csv.map_or(Ok(()), |csv| node.open_csv(csv, append))?;
         Ok(node)
     }
 
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
-        let message = read::<ObjectPoses<'static>>(inputs, "poses")?;
+        let message = POSES.read(inputs)?;
         let image = (message.header.scene_id, message.header.image_id);
         if self.done.contains(&image) {
             return Ok(());
         }
-        let decisions: &[GateDecision] = match inputs.bytes("decisions") {
-            Some(_) => read::<GateDecisions<'static>>(inputs, "decisions")?.decisions,
-            None => &[],
-        };
+        let decisions: &[GateDecision] = DECISIONS.given(inputs)?.map_or(&[][..], |message| message.decisions);
         let poses = without_repeats(ObjectPose::likeliest(message.poses));
         if let Some(details) = &mut self.details {
             // Before the poses: an image whose poses are there is whole.

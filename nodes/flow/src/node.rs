@@ -4,10 +4,14 @@ use crate::{FlowError, interleave};
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{FlowFields, FlowFieldsHeader, NetworkWeights, ReferenceViews};
 use pseudoflow_network::{ComputeDevice, ExportOptions, FlowNetwork, NetworkConfig, NetworkError, RefinerConfig};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+
+const VIEWS: Port<ReferenceViews<'static>> = Port::required("views");
+const WEIGHTS: Port<NetworkWeights<'static>> = Port::latest("weights");
+const FLOW: Port<FlowFields<'static>> = Port::required("flow");
 
 /// Settings of the flow node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -226,14 +230,11 @@ impl Node for FlowNode {
     type Config = FlowConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ReferenceViews<'static>>("views"),
-            PortSpec::latest::<NetworkWeights<'static>>("weights"),
-        ]
+        vec![VIEWS.spec(), WEIGHTS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<FlowFields<'static>>("flow")]
+        vec![FLOW.spec()]
     }
 
     fn check(config: &FlowConfig) -> Result<(), NodeError> {
@@ -271,10 +272,10 @@ impl Node for FlowNode {
         if self.weights_version == Some(wanted) || self.before.as_ref().is_some_and(|(version, _)| *version == wanted) {
             return Ok(true);
         }
-        if inputs.bytes("weights").is_none() {
+        if !WEIGHTS.has_come(inputs) {
             return Ok(false);
         }
-        let header = read::<NetworkWeights<'static>>(inputs, "weights")?.header;
+        let header = WEIGHTS.read(inputs)?.header;
         let (here, there) = (lockstep.frames_per_step * lockstep.publish_every, header.frames_per_version);
         if here != there {
             return Err(FlowError::OutOfStep { here, there }.into());
@@ -285,14 +286,14 @@ impl Node for FlowNode {
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {
-        Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects())
+        Some(VIEWS.read(inputs).ok()?.objects())
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
-        if inputs.bytes("weights").is_some() {
-            self.swap(&read::<NetworkWeights<'static>>(inputs, "weights")?, inputs.key().index)?;
+        if WEIGHTS.has_come(inputs) {
+            self.swap(&WEIGHTS.read(inputs)?, inputs.key().index)?;
         }
-        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
+        let views = VIEWS.read(inputs)?;
         let (size_px, views_px) = (self.config.size_px as usize, views.header.size_px as usize);
         if views_px != size_px {
             return Err(FlowError::Size { views_px, network_px: size_px }.into());
@@ -305,7 +306,7 @@ impl Node for FlowNode {
             has_certainty: u32::from(self.network.has_certainty()),
             reserved: 0,
         };
-        outputs.send("flow", inputs.key(), FlowFields::byte_len(&header), &mut |bytes| {
+        FLOW.send(outputs, inputs.key(), FlowFields::byte_len(&header), &mut |bytes| {
             let fields = FlowFields::write(bytes, header);
             interleave(&self.planes, size_px, fields.flow_px);
             fields.certainty.copy_from_slice(&self.certainty);

@@ -1,5 +1,6 @@
 //! What was sent of late: another node's death may bring a frame back, which then gets what it got.
 
+use crate::node::{INITIAL_POSES, STATUS};
 use pseudoflow_msgs::{FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses};
 use pseudoflow_runtime::{NodeError, Outputs};
 use std::collections::VecDeque;
@@ -18,10 +19,10 @@ pub(crate) struct Sent {
 impl Sent {
     pub(crate) fn send(&self, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
         let (scene_id, image_id) = self.image;
-        outputs.send("initial_poses", self.key, ObjectPoses::byte_len(self.poses.len()), &mut |bytes| {
+        INITIAL_POSES.send(outputs, self.key, ObjectPoses::byte_len(self.poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, &self.poses);
         })?;
-        outputs.send("status", self.key, ObjectStatuses::byte_len(self.statuses.len()), &mut |bytes| {
+        STATUS.send(outputs, self.key, ObjectStatuses::byte_len(self.statuses.len()), &mut |bytes| {
             ObjectStatuses::write(bytes, self.searched, &self.statuses);
         })
     }

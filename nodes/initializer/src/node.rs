@@ -13,10 +13,16 @@ use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus, TrackPhase,
     TrackReason, Wanted,
 };
-use pseudoflow_runtime::{Context, Draws, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Draws, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+
+pub(crate) const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+pub(crate) const WANTED: Port<Wanted<'static>> = Port::optional("wanted");
+pub(crate) const POSES: Port<ObjectPoses<'static>> = Port::latest("poses");
+pub(crate) const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::required("initial_poses");
+pub(crate) const STATUS: Port<ObjectStatuses<'static>> = Port::optional("status");
 
 /// Settings of the initializer node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -29,6 +35,9 @@ pub struct InitializerConfig {
     /// The network that the weights belong to: `nano`, `full`, or a YAML file.
     #[serde(default = "default_network")]
     pub network: String,
+    /// Poses of these objects only; of all without.
+    #[serde(default)]
+    pub only_objects: Option<Vec<u32>>,
     /// How poses are made of the network's answer.
     #[serde(default)]
     pub detect: DetectConfig,
@@ -67,6 +76,7 @@ impl InitializerConfig {
             model,
             objects,
             network: default_network(),
+            only_objects: None,
             detect,
             compare: None,
             track: None,
@@ -81,6 +91,7 @@ impl InitializerConfig {
 /// Frames in, first poses out.
 pub struct InitializerNode {
     finder: Finder,
+    only_objects: Option<Vec<u32>>,
     following: Option<Following>,
     patience: Patience,
     memory: Memory,
@@ -126,7 +137,10 @@ impl InitializerNode {
         };
         let named = (frame.header.scene_id, frame.header.image_id);
         let mut rng = self.draws.rng(context, key.index, named, "ransac");
-        Ok(self.finder.find(&image, &camera, &left_out, &mut rng)?)
+        let mut found = self.finder.find(&image, &camera, &left_out, &mut rng)?;
+        // Behind the search, so that what is drawn for one object does not depend on which others are wanted.
+        found.retain(|detection| self.only_objects.as_ref().is_none_or(|only| only.contains(&detection.object_id)));
+        Ok(found)
     }
 
     /// What a frame shows of what is wanted and due.
@@ -137,10 +151,10 @@ impl InitializerNode {
         context: &Context,
     ) -> Result<(Vec<ObjectPose>, bool), NodeError> {
         let key = inputs.key();
-        if !inputs.is_connected("wanted") {
+        if !inputs.is_connected(WANTED.name()) {
             return Ok((poses(&self.search(frame, key, &|_, _, _| false, context)?), true));
         }
-        let wanted = read::<Wanted<'static>>(inputs, "wanted")?.object_ids;
+        let wanted = WANTED.read(inputs)?.object_ids;
         let preparing = self.finder.preparing();
         self.patience.forget_all_but(wanted);
         let known = |id: &u32| preparing.iter().all(|p| p.object_id != *id);
@@ -166,8 +180,8 @@ impl InitializerNode {
         context: &Context,
     ) -> Result<(Vec<ObjectPose>, bool), NodeError> {
         let key = inputs.key();
-        if inputs.bytes("poses").is_some() {
-            following.learn(&read::<ObjectPoses<'static>>(inputs, "poses")?, &self.memory);
+        if POSES.has_come(inputs) {
+            following.learn(&POSES.read(inputs)?, &self.memory);
         }
         let searched = following.tracker.wants_search();
         if searched {
@@ -183,7 +197,7 @@ impl InitializerNode {
 
     /// What is sent for a frame.
     fn answer(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<Sent, NodeError> {
-        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
+        let frame = FRAME.read(inputs)?;
         let ((poses, searched), statuses) = match self.following.take() {
             None => {
                 let answer = self.run_errand(&frame, inputs, context)?;
@@ -280,18 +294,11 @@ impl Node for InitializerNode {
     type Config = InitializerConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::optional::<Wanted<'static>>("wanted"),
-            PortSpec::latest::<ObjectPoses<'static>>("poses"),
-        ]
+        vec![FRAME.spec(), WANTED.spec(), POSES.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
-            PortSpec::optional::<ObjectStatuses<'static>>("status"),
-        ]
+        vec![INITIAL_POSES.spec(), STATUS.spec()]
     }
 
     fn check(config: &InitializerConfig) -> Result<(), NodeError> {
@@ -329,9 +336,10 @@ impl Node for InitializerNode {
             lossless: context.replay,
             learned: None,
         });
+        let only_objects = config.only_objects;
         let finder = Finder { network, comparer, objects, config: config.detect };
         let (patience, draws) = (Patience::new(config.search), config.draws);
-        Ok(Self { finder, following, patience, memory: Memory::default(), draws })
+        Ok(Self { finder, only_objects, following, patience, memory: Memory::default(), draws })
     }
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
@@ -340,11 +348,11 @@ impl Node for InitializerNode {
         }
         let index = inputs.key().index;
         let Some(last) = self.memory.last().filter(|last| last.key.index < index) else { return Ok(true) };
-        if inputs.bytes("poses").is_none() {
+        if !POSES.has_come(inputs) {
             log::debug!("frame {index} waits for the refined poses of the one before: connect `poses` as feedback");
             return Ok(false);
         }
-        let header = read::<ObjectPoses<'static>>(inputs, "poses")?.header;
+        let header = POSES.read(inputs)?.header;
         Ok((header.scene_id, header.image_id) == last.image)
     }
 

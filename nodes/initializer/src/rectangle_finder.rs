@@ -19,10 +19,16 @@ use pseudoflow_msgs::{
     CameraFrame, CameraFrameHeader, DetectedFrame, FrameKey, Message, ObjectPose, ObjectPoses, PoseSource, PoseStatus,
     Rectangle, Rectangles,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+
+const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+const RECTANGLES: Port<Rectangles<'static>> = Port::optional("rectangles");
+const DETECTED: Port<DetectedFrame<'static>> = Port::late("detected");
+const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::optional("initial_poses");
+const FOUND: Port<ObjectPoses<'static>> = Port::optional("found");
 
 /// Settings of the node `rectangle_finder`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -86,7 +92,7 @@ impl RectangleFinder {
 
     /// Of images of the past the newest alone: what was seen before it is no longer of use.
     fn find_late(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
-        let Some((key, bytes)) = inputs.late("detected").into_iter().max_by_key(|(key, _)| key.index) else {
+        let Some((key, bytes)) = inputs.late(DETECTED.name()).into_iter().max_by_key(|(key, _)| key.index) else {
             return Ok(());
         };
         let seen = DetectedFrame::view(bytes)?;
@@ -118,12 +124,12 @@ fn pose(rectangle: &Rectangle, instance: u32, found: &Match) -> ObjectPose {
 
 fn send_poses(
     outputs: &mut dyn Outputs,
-    port: &'static str,
+    port: &Port<ObjectPoses<'static>>,
     key: FrameKey,
     header: &CameraFrameHeader,
     poses: &[ObjectPose],
 ) -> Result<(), NodeError> {
-    outputs.send(port, key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+    port.send(outputs, key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
         ObjectPoses::write(bytes, header.scene_id, header.image_id, poses);
     })
 }
@@ -135,7 +141,7 @@ fn send_found(
     poses: &[ObjectPose],
 ) -> Result<(), NodeError> {
     let likeliest: Vec<ObjectPose> = ObjectPose::likeliest(poses).copied().collect();
-    send_poses(outputs, "found", key, header, &likeliest)
+    send_poses(outputs, &FOUND, key, header, &likeliest)
 }
 
 impl Node for RectangleFinder {
@@ -144,18 +150,11 @@ impl Node for RectangleFinder {
     type Config = RectangleFinderConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::optional::<Rectangles<'static>>("rectangles"),
-            PortSpec::late::<DetectedFrame<'static>>("detected"),
-        ]
+        vec![FRAME.spec(), RECTANGLES.spec(), DETECTED.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
-            PortSpec::optional::<ObjectPoses<'static>>("found"),
-        ]
+        vec![INITIAL_POSES.spec(), FOUND.spec()]
     }
 
     fn check(config: &RectangleFinderConfig) -> Result<(), NodeError> {
@@ -178,13 +177,13 @@ impl Node for RectangleFinder {
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         self.find_late(inputs, outputs)?;
-        let (key, frame) = (inputs.key(), read::<CameraFrame<'static>>(inputs, "frame")?);
-        if inputs.bytes("rectangles").is_none() {
-            return send_poses(outputs, "initial_poses", key, frame.header, &[]);
+        let (key, frame) = (inputs.key(), FRAME.read(inputs)?);
+        if !RECTANGLES.has_come(inputs) {
+            return send_poses(outputs, &INITIAL_POSES, key, frame.header, &[]);
         }
-        let seen = read::<Rectangles<'static>>(inputs, "rectangles")?;
+        let seen = RECTANGLES.read(inputs)?;
         let poses = self.find(frame.header, frame.rgb, seen.rectangles)?;
-        send_poses(outputs, "initial_poses", key, frame.header, &poses)?;
+        send_poses(outputs, &INITIAL_POSES, key, frame.header, &poses)?;
         send_found(outputs, key, frame.header, &poses)
     }
 }

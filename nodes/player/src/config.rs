@@ -1,6 +1,7 @@
 //! What the player plays, and from where.
 
 use crate::sampling::Sampling;
+use pseudoflow_runtime::Stride;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -49,6 +50,9 @@ pub struct PlayerConfig {
     /// Plays the recording so often, every second time backwards, so that nothing jumps where it turns. Needs `hz`.
     #[serde(default = "once")]
     pub passes: u32,
+    /// Which frames are played: `{start: 4, step: 5}` begins with frame 4 and leaves four out after each.
+    #[serde(default)]
+    pub frames: Stride,
     /// Plays at most this many frames.
     #[serde(default)]
     pub max_frames: Option<u64>,
@@ -75,7 +79,26 @@ pub struct InitialPoses {
     pub file: Option<PathBuf>,
 }
 
+/// Place of the frame that is played at an index when `count` frames are played `passes` times, every second time backwards; the
+/// frames where it turns come once. `None` behind the end.
+fn there_and_back(index: u64, count: u64, passes: u32) -> Option<u64> {
+    let span = count.checked_sub(1)?;
+    if index > span * u64::from(passes) {
+        return None;
+    }
+    let (pass, at) = (index.checked_div(span).unwrap_or(0), index.checked_rem(span).unwrap_or(0));
+    Some(if pass % 2 == 0 { at } else { span - at })
+}
+
 impl PlayerConfig {
+    /// Number in recordings of `count` frames of the frame that is played at an index; `None` behind the last, and of no use to
+    /// a training, which draws its frames.
+    #[must_use]
+    pub fn number_at(&self, index: u64, count: u64) -> Option<u64> {
+        let place = there_and_back(index, self.frames.count(count), self.passes)?;
+        (index < self.max_frames.unwrap_or(u64::MAX)).then(|| self.frames.number(place))
+    }
+
     /// Plays a recording with the defaults.
     #[must_use]
     pub fn new(source: PathBuf) -> Self {
@@ -93,8 +116,33 @@ impl PlayerConfig {
             only_objects: None,
             hz: None,
             passes: once(),
+            frames: Stride::default(),
             max_frames: None,
             sampling: None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_goes_there_and_back_without_a_jump() {
+        let played = |count, passes| (0..).map_while(|i| there_and_back(i, count, passes)).collect::<Vec<u64>>();
+        assert_eq!(played(4, 1), [0, 1, 2, 3]);
+        assert_eq!(played(4, 2), [0, 1, 2, 3, 2, 1, 0]);
+        assert_eq!(played(4, 3), [0, 1, 2, 3, 2, 1, 0, 1, 2, 3]);
+        assert_eq!(played(1, 3), [0]);
+        assert!(played(0, 1).is_empty());
+    }
+
+    #[test]
+    fn frames_are_left_out_before_a_recording_is_turned() {
+        let frames = serde_json::from_str(r#"{"start": 1, "step": 3}"#).unwrap();
+        let config = PlayerConfig { frames, passes: 2, ..PlayerConfig::new("bag".into()) };
+        let played = |config: &PlayerConfig| (0..).map_while(|i| config.number_at(i, 9)).collect::<Vec<u64>>();
+        assert_eq!(played(&config), [1, 4, 7, 4, 1]);
+        assert_eq!(played(&PlayerConfig { max_frames: Some(2), ..config }), [1, 4]);
     }
 }

@@ -22,7 +22,7 @@ pub use bop_source::BopSource;
 pub use config::{InitialPoses, PlayerConfig};
 pub use error::PlayerError;
 pub use from_bop::{FromBop, from_bop};
-pub use node::{PlayerNode, there_and_back};
+pub use node::PlayerNode;
 pub use open::open_recording;
 pub use sampling::{Sample, Sampler, Sampling};
 pub use source::{FrameFacts, FrameSource, LoadedFrame};

@@ -9,9 +9,16 @@ use pseudoflow_imaging::ObjectSet;
 use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, PartnerFrame, PartnerFrames, PartnerFramesHeader, Rectangles,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Produced, Role};
+use pseudoflow_runtime::{
+    Context, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Produced, Role, Stride,
+};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+
+const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::required("initial_poses");
+const PARTNERS: Port<PartnerFrames<'static>> = Port::optional("partners");
+const RECTANGLES: Port<Rectangles<'static>> = Port::optional("rectangles");
 
 /// Plays a recording: camera frames and initial poses, any frame again when asked.
 pub struct PlayerNode {
@@ -42,12 +49,6 @@ fn check_objects(config: &PlayerConfig, objects: &BTreeMap<u32, usize>, known: &
 }
 
 impl PlayerNode {
-    /// Frames of the recordings.
-    #[must_use]
-    pub fn count(&self) -> usize {
-        self.source.count()
-    }
-
     fn load(&mut self, number: usize) -> Result<LoadedFrame, PlayerError> {
         let mut frame = self.source.load(number)?;
         self.choose_poses(frame.header.scene_id, frame.header.image_id, &mut frame.initial_poses);
@@ -84,9 +85,8 @@ impl PlayerNode {
     /// The next frame of a training: its number, and the sample that was drawn; `None` behind the last.
     fn draw(&mut self, index: u64, context: &Context) -> Option<(usize, Option<Sample>)> {
         let Some(sampling) = &self.config.sampling else {
-            let most = self.config.max_frames.unwrap_or(u64::MAX);
-            let number = there_and_back(index, self.source.count() as u64, self.config.passes);
-            return number.filter(|_| index < most).map(|number| (number as usize, None));
+            let number = self.config.number_at(index, self.source.count() as u64);
+            return number.map(|number| (number as usize, None));
         };
         let sample = self.sampler.at(sampling.first + index, |epoch| context.rng(epoch, "epoch"));
         (index < sampling.samples).then_some((sample.frame, Some(sample)))
@@ -108,24 +108,12 @@ impl PlayerNode {
         let mut partners: Vec<PartnerFrame> = loaded.iter().map(|(frame, pose)| partner(frame, *pose)).collect();
         partners.resize(sampling.partners as usize, bytemuck::Zeroable::zeroed());
         let header = PartnerFramesHeader { instances: 1, partners_per_instance: sampling.partners };
-        outputs.send("partners", key, PartnerFrames::byte_len(&partners), &mut |bytes| {
+        PARTNERS.send(outputs, key, PartnerFrames::byte_len(&partners), &mut |bytes| {
             for (out, (frame, _)) in PartnerFrames::write(bytes, header, &partners).zip(&loaded) {
                 out.copy_from_slice(&frame.rgb);
             }
         })
     }
-}
-
-/// Number of the frame that is played at a place when `count` frames are played `passes` times, every second time backwards; the
-/// frames where it turns come once. `None` behind the end.
-#[must_use]
-pub fn there_and_back(index: u64, count: u64, passes: u32) -> Option<u64> {
-    let span = count.checked_sub(1)?;
-    if index > span * u64::from(passes) {
-        return None;
-    }
-    let (pass, at) = (index.checked_div(span).unwrap_or(0), index.checked_rem(span).unwrap_or(0));
-    Some(if pass % 2 == 0 { at } else { span - at })
 }
 
 fn partner(frame: &LoadedFrame, pose: usize) -> PartnerFrame {
@@ -150,12 +138,7 @@ impl Node for PlayerNode {
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
-            PortSpec::optional::<PartnerFrames<'static>>("partners"),
-            PortSpec::optional::<Rectangles<'static>>("rectangles"),
-        ]
+        vec![FRAME.spec(), INITIAL_POSES.spec(), PARTNERS.spec(), RECTANGLES.spec()]
     }
 
     fn check(config: &PlayerConfig) -> Result<(), NodeError> {
@@ -193,6 +176,9 @@ impl Node for PlayerNode {
                     .into(),
             );
         }
+        if config.sampling.is_some() && config.frames != Stride::default() {
+            return Err("`frames`: a training draws its frames at random: leave `frames` or `sampling` out".into());
+        }
         if config.max_frames == Some(0) {
             return Err("`max_frames: 0`: give at least 1, or leave it out".into());
         }
@@ -209,6 +195,10 @@ impl Node for PlayerNode {
             check_objects(&config, &sent, &set.ids())?;
         }
         log::info!("{}: {} frames", config.source.display(), source.count());
+        if config.frames.start > 0 && config.frames.count(source.count() as u64) == 0 {
+            let (start, count) = (config.frames.start, source.count());
+            return Err(format!("`frames.start: {start}`: the recordings have {count} frames: give less").into());
+        }
         let sampling = config.sampling.clone();
         let mut node = Self { config, source, poses, sampler: Sampler::default() };
         if let Some(sampling) = sampling {
@@ -229,37 +219,22 @@ impl Node for PlayerNode {
         let key = FrameKey { index, stamp_ns: self.config.hz.map_or(frame.stamp_ns, of_rate) };
         if let Some(sample) = &sample {
             frame.initial_poses = vec![frame.initial_poses[sample.pose]];
-            if outputs.is_connected("partners") {
+            if outputs.is_connected(PARTNERS.name()) {
                 self.send_partners(sample, key, outputs, context)?;
             }
         }
         let header = frame.header;
         let len = CameraFrame::byte_len(header.width, header.height);
-        outputs
-            .send("frame", key, len, &mut |bytes| CameraFrame::write(bytes, header).rgb.copy_from_slice(&frame.rgb))?;
+        FRAME
+            .send(outputs, key, len, &mut |bytes| CameraFrame::write(bytes, header).rgb.copy_from_slice(&frame.rgb))?;
         let poses = &frame.initial_poses;
-        outputs.send("initial_poses", key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+        INITIAL_POSES.send(outputs, key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, header.scene_id, header.image_id, poses);
         })?;
         let seen = &frame.rectangles;
-        outputs.send("rectangles", key, Rectangles::byte_len(seen.len()), &mut |bytes| {
+        RECTANGLES.send(outputs, key, Rectangles::byte_len(seen.len()), &mut |bytes| {
             Rectangles::write(bytes, header.scene_id, header.image_id, seen);
         })?;
         Ok(Produced::Frame(key))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_recording_goes_there_and_back_without_a_jump() {
-        let played = |count, passes| (0..).map_while(|i| there_and_back(i, count, passes)).collect::<Vec<u64>>();
-        assert_eq!(played(4, 1), [0, 1, 2, 3]);
-        assert_eq!(played(4, 2), [0, 1, 2, 3, 2, 1, 0]);
-        assert_eq!(played(4, 3), [0, 1, 2, 3, 2, 1, 0, 1, 2, 3]);
-        assert_eq!(played(1, 3), [0]);
-        assert!(played(0, 1).is_empty());
     }
 }

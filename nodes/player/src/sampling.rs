@@ -8,10 +8,12 @@ use crate::source::FrameFacts;
 use nalgebra::{UnitQuaternion, Vector3};
 use pseudoflow_geometry::pose_from_quaternion;
 use pseudoflow_msgs::ObjectPose;
+use pseudoflow_runtime::Stride;
 use rand::Rng;
 use rand::seq::SliceRandom;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::num::NonZeroU64;
 
 /// Settings of sampling.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -45,17 +47,12 @@ fn default_angle_deg() -> u32 {
 }
 
 impl Sampling {
-    /// Holds every n-th frame out; for those who look at the held-out ones.
+    /// The held-out frames of `count`, at most `most` of them, evenly spread.
     #[must_use]
-    pub fn holding_out(every: u64) -> Self {
-        Self {
-            samples: 0,
-            first: 0,
-            partners: default_partners(),
-            partner_angle_deg: default_angle_deg(),
-            held_out_every: Some(every),
-            budget_frames: None,
-        }
+    pub fn held_out(every: NonZeroU64, count: u64, most: NonZeroU64) -> Stride {
+        let all = Stride { start: every.get() - 1, step: every };
+        let thinned = all.count(count).div_ceil(most.get()).max(1);
+        Stride { step: every.saturating_mul(NonZeroU64::new(thinned).unwrap_or(NonZeroU64::MIN)), ..all }
     }
 
     /// Whether a frame is left out of the training.
@@ -223,6 +220,17 @@ mod tests {
         let drawn = |rng: &mut StdRng| sampler.partners(&of, 3, 25_f64.to_radians(), rng);
         assert_eq!(drawn(&mut rng).len(), 3);
         assert!((0..20).any(|_| drawn(&mut rng) != drawn(&mut rng)), "drawn at random");
+    }
+
+    #[test]
+    fn held_out_frames_are_those_that_no_sample_is_drawn_from() {
+        let number = |n| NonZeroU64::new(n).unwrap();
+        let all: Vec<u64> = Sampling::held_out(number(4), 20, number(80)).numbers(20).collect();
+        assert_eq!(all, [3, 7, 11, 15, 19]);
+        assert!((0..20).all(|n| settings().is_held_out(n as usize) == all.contains(&n)));
+        let few: Vec<u64> = Sampling::held_out(number(4), 20, number(3)).numbers(20).collect();
+        assert_eq!(few, [3, 11, 19]);
+        assert_eq!(Sampling::held_out(number(4), 2, number(3)).count(2), 0);
     }
 
     #[test]

@@ -2,14 +2,15 @@
 
 use crate::PnpNodeConfig;
 use crate::gate::{ContourScale, Features, Gate, Stage, StageModel};
+use crate::node::{FLOW, FRAME, INITIAL_POSES, VIEWS};
 use crate::node::{Look, Refinement, kept_pose};
 use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use nalgebra::Point3;
 use pseudoflow_contour::{ContourModel, Hider, Image, ModelSettings, RegionStatus, image_of_bytes, load_or_make};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
-use pseudoflow_msgs::{CameraFrame, FlowFields, ObjectPose, ObjectPoses, PoseSource, PoseStatus, ReferenceViews};
-use pseudoflow_runtime::{Inputs, NodeError, OrBadInput, bad_input, read};
+use pseudoflow_msgs::{FlowFields, ObjectPose, PoseSource, PoseStatus, ReferenceViews};
+use pseudoflow_runtime::{Inputs, NodeError, OrBadInput, bad_input};
 use pseudoflow_solver::{FlowEvidence, JointResult, JointSolver, JointTask, PixelBuffer, PnpResult, PnpStatus};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -107,17 +108,17 @@ impl Joint {
 
     /// What became of each pose of a frame; nearer objects first, since they hide those behind.
     pub(crate) fn looks(&mut self, inputs: &dyn Inputs, seed: u64) -> Result<Vec<Look>, NodeError> {
-        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
+        let frame = FRAME.read(inputs)?;
         let [fx, fy, cx, cy] = frame.header.intrinsics;
         let rgb = image_of_bytes(frame.rgb, frame.header.width as usize, frame.header.height as usize)
-            .or_bad_input("frame")?;
+            .or_bad_input(FRAME.name())?;
         let camera = Intrinsics { fx, fy, cx, cy };
         let mut looks = Vec::new();
         let mut instances = match self.stages {
             Stages::Region => of_poses(rough_poses(inputs)?, &mut looks),
             _ => {
-                let views = read::<ReferenceViews<'static>>(inputs, "views")?;
-                let flow = read::<FlowFields<'static>>(inputs, "flow")?;
+                let views = VIEWS.read(inputs)?;
+                let flow = FLOW.read(inputs)?;
                 of_views(&views, &flow, &mut looks)?
             }
         };
@@ -276,10 +277,10 @@ fn message_status(status: RegionStatus) -> PoseStatus {
 
 /// The rough poses: those that came by their own port, else those that were rendered.
 fn rough_poses(inputs: &dyn Inputs) -> Result<Vec<ObjectPose>, NodeError> {
-    if inputs.bytes("initial_poses").is_some() || inputs.bytes("views").is_none() {
-        return Ok(read::<ObjectPoses<'static>>(inputs, "initial_poses")?.poses.to_vec());
+    if INITIAL_POSES.has_come(inputs) || !VIEWS.has_come(inputs) {
+        return Ok(INITIAL_POSES.read(inputs)?.poses.to_vec());
     }
-    let views = read::<ReferenceViews<'static>>(inputs, "views")?;
+    let views = VIEWS.read(inputs)?;
     let of_views = views.views.iter().step_by(views.header.views_per_instance as usize).map(|v| v.pose);
     Ok(of_views.chain(views.skipped.iter().copied()).collect())
 }
@@ -313,7 +314,7 @@ fn of_views<'a>(
     flow: &FlowFields<'a>,
     looks: &mut Vec<Look>,
 ) -> Result<Vec<Instance<'a>>, NodeError> {
-    belong_together(views, flow).or_bad_input("flow")?;
+    belong_together(views, flow).or_bad_input(FLOW.name())?;
     looks.extend(views.skipped.iter().copied().map(skipped));
     let instance = |i: usize| {
         let planes = planes(views, flow, i)?;

@@ -6,13 +6,17 @@
 //!
 //! With `stages: joint` the contour of the object in the camera's image and the rough pose count as well, in one cost
 //! ([`pseudoflow_solver::JointSolver`]); with `stages: region` there is no flow at all, and no network is needed.
+//!
+//! The [`judge`] node says how well the pictures agree with the poses of one or two networks, without any truth.
 
 mod config;
+mod crop_solver;
 pub mod gate;
 mod joint;
+pub mod judge;
 mod node;
 mod views;
 
 pub use config::PnpNodeConfig;
 pub use joint::Stages;
-pub use node::{Judgement, Look, PnpNode, Refinement};
+pub use node::{Look, PnpNode, Refinement};

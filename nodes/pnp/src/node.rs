@@ -1,5 +1,6 @@
 use crate::PnpNodeConfig;
-use crate::gate::{Evidence, Feature, Features, Gate, StageModel, Verdict};
+use crate::crop_solver::CropSolver;
+use crate::gate::{Feature, Features, Gate, StageModel, Verdict};
 use crate::joint::{Joint, Stages};
 use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use pseudoflow_geometry::{Pose, quaternion_xyzw};
@@ -7,16 +8,22 @@ use pseudoflow_msgs::{
     CameraFrame, FlowFields, GateDecision, GateDecisions, ObjectPose, ObjectPoses, PoseSource, PoseStatus,
     ReferenceViews,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
-use pseudoflow_solver::{PixelBuffer, PnpResult, PnpStatus, Solver};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role};
+use pseudoflow_solver::{PnpResult, PnpStatus};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
+
+pub(crate) const VIEWS: Port<ReferenceViews<'static>> = Port::optional("views");
+pub(crate) const FLOW: Port<FlowFields<'static>> = Port::optional("flow");
+pub(crate) const FRAME: Port<CameraFrame<'static>> = Port::optional("frame");
+pub(crate) const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::optional("initial_poses");
+pub(crate) const POSES: Port<ObjectPoses<'static>> = Port::required("poses");
+pub(crate) const DECISIONS: Port<GateDecisions<'static>> = Port::optional("decisions");
 
 /// Views and flow in, refined poses out.
 pub struct PnpNode {
     config: PnpNodeConfig,
-    solver: Option<(usize, Solver)>,
-    buffer: PixelBuffer,
+    solver: CropSolver,
     gate: Gate,
     model: StageModel,
     joint: Option<Joint>,
@@ -74,17 +81,9 @@ impl Look {
 }
 
 impl PnpNode {
-    /// The solver for crops of a size; made anew only when the size changes.
-    fn solver(&mut self, size_px: usize) -> Result<&mut Solver, NodeError> {
-        if self.solver.as_ref().is_none_or(|(size, _)| *size != size_px) {
-            self.solver = Some((size_px, Solver::new(self.config.solver.clone().scaled_to(size_px))?));
-        }
-        Ok(&mut self.solver.as_mut().ok_or("no solver")?.1)
-    }
-
     /// The refined pose of a view.
     fn refine(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<Look, NodeError> {
-        let found = self.solve(planes, seed)?;
+        let found = self.solver.solve(&planes.field, seed)?;
         match found.status {
             PnpStatus::Ok => self.looked_at(planes, &found),
             failed => {
@@ -98,7 +97,7 @@ impl PnpNode {
     fn looked_at(&mut self, planes: &ViewPlanes<'_>, found: &PnpResult) -> Result<Look, NodeError> {
         let config = self.config.gate.clone().unwrap_or_default();
         let evidence = evidence(planes, found, config.blocks_across, &mut self.gate)?;
-        let threshold_px = self.solver(planes.field.size_px)?.config().threshold_px;
+        let threshold_px = self.solver.of(planes.field.size_px)?.config().threshold_px;
         let features = planes.features(found, &evidence, threshold_px);
         let verdict = self.model.verdict(&features);
         let decision = config.decide(found, &evidence, &verdict, planes.field.size_px);
@@ -150,9 +149,9 @@ impl PnpNode {
             let mut rng = draws(&self.config, inputs, context)?;
             return Ok(best_of_each(joint.looks(inputs, rng.random())?));
         }
-        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
-        let flow = read::<FlowFields<'static>>(inputs, "flow")?;
-        belong_together(&views, &flow).or_bad_input("flow")?;
+        let views = VIEWS.read(inputs)?;
+        let flow = FLOW.read(inputs)?;
+        belong_together(&views, &flow).or_bad_input(FLOW.name())?;
         let mut rng = draws(&self.config, inputs, context)?;
         let skipped = |pose: &ObjectPose| Look { pose: *pose, merit: f64::NEG_INFINITY, refinement: None };
         let mut looks: Vec<Look> = views.skipped.iter().map(skipped).collect();
@@ -160,66 +159,6 @@ impl PnpNode {
             looks.push(self.refine(&planes(&views, &flow, instance)?, rng.random())?);
         }
         Ok(best_of_each(looks))
-    }
-
-    fn solve(&mut self, planes: &ViewPlanes<'_>, seed: u64) -> Result<PnpResult, NodeError> {
-        let mut buffer = std::mem::take(&mut self.buffer);
-        let correspondences = buffer.fill(&planes.field, usize::MAX)?;
-        let camera = planes.field.intrinsics;
-        let initial = planes.field.camera_from_object;
-        let found = self.solver(planes.field.size_px)?.solve(&correspondences, &camera, &initial, seed);
-        self.buffer = buffer;
-        Ok(found)
-    }
-
-    /// Refines the instances of a frame and says how well the pictures agree with each pose, without any truth. `seed`
-    /// is that of RANSAC.
-    ///
-    /// # Errors
-    /// When views and flow do not belong together.
-    pub fn judge(
-        &mut self,
-        views: &ReferenceViews<'_>,
-        flow: &FlowFields<'_>,
-        seed: u64,
-    ) -> Result<Vec<Judgement>, NodeError> {
-        let blocks_across = self.config.gate.clone().unwrap_or_default().blocks_across;
-        let judge = |instance: usize| {
-            let planes = planes(views, flow, instance)?;
-            let found = self.solve(&planes, seed)?;
-            let status = message_status(found.status);
-            let evidence = match found.status {
-                PnpStatus::Ok => Some(evidence(&planes, &found, blocks_across, &mut self.gate)?),
-                _ => None,
-            };
-            let pose = match status {
-                PoseStatus::Ok => refined_pose(&planes.view.pose, &found, status, found.inlier_ratio),
-                failed => kept_pose(&planes.view.pose, failed, found.inlier_ratio),
-            };
-            Ok(Judgement { pose, evidence })
-        };
-        (0..views.header.instances as usize).map(judge).collect()
-    }
-}
-
-/// A refined pose with what the pictures say about it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Judgement {
-    /// The pose, its score the inlier ratio.
-    pub pose: ObjectPose,
-    /// `None` when PnP failed.
-    pub evidence: Option<Evidence>,
-}
-
-impl Judgement {
-    /// Agreement of flow and pictures, from -1 to 3: the inlier ratio, the correlation of the rendering with the crop and the
-    /// contrast across the contour, each at the refined pose. 0 when PnP failed. For comparing networks on the same crops.
-    #[must_use]
-    pub fn agreement(&self) -> f64 {
-        let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
-        self.evidence.as_ref().map_or(0.0, |evidence| {
-            self.pose.score + finite(evidence.photometric_refined) + finite(evidence.silhouette_refined)
-        })
     }
 }
 
@@ -267,11 +206,11 @@ fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
 
 /// BOP scene and image of a frame.
 fn image(inputs: &dyn Inputs) -> Result<(u32, u32), NodeError> {
-    if inputs.bytes("views").is_some() {
-        let header = read::<ReferenceViews<'static>>(inputs, "views")?.header;
+    if VIEWS.has_come(inputs) {
+        let header = VIEWS.read(inputs)?.header;
         return Ok((header.scene_id, header.image_id));
     }
-    let header = read::<ObjectPoses<'static>>(inputs, "initial_poses")?.header;
+    let header = INITIAL_POSES.read(inputs)?.header;
     Ok((header.scene_id, header.image_id))
 }
 
@@ -288,19 +227,11 @@ impl Node for PnpNode {
 
     fn inputs() -> Vec<PortSpec> {
         // Which of them are needed depends on `stages`: see `needs`.
-        vec![
-            PortSpec::optional::<ReferenceViews<'static>>("views"),
-            PortSpec::optional::<FlowFields<'static>>("flow"),
-            PortSpec::optional::<CameraFrame<'static>>("frame"),
-            PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
-        ]
+        vec![VIEWS.spec(), FLOW.spec(), FRAME.spec(), INITIAL_POSES.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ObjectPoses<'static>>("poses"),
-            PortSpec::optional::<GateDecisions<'static>>("decisions"),
-        ]
+        vec![POSES.spec(), DECISIONS.spec()]
     }
 
     fn check(config: &PnpNodeConfig) -> Result<(), NodeError> {
@@ -314,37 +245,38 @@ impl Node for PnpNode {
 
     fn needs(config: &PnpNodeConfig) -> Vec<&'static str> {
         match config.stages {
-            Stages::Flow => vec!["views", "flow"],
+            Stages::Flow => vec![VIEWS.name(), FLOW.name()],
             // Rough poses come by `initial_poses` or in `views`.
-            Stages::Region => vec!["frame"],
-            Stages::Joint => vec!["views", "flow", "frame"],
+            Stages::Region => vec![FRAME.name()],
+            Stages::Joint => vec![VIEWS.name(), FLOW.name(), FRAME.name()],
         }
     }
 
     fn create(config: PnpNodeConfig, _: &Context) -> Result<Self, NodeError> {
         let model = config.gate.clone().unwrap_or_default().stage_model(config.stages.learnt())?;
         let joint = Joint::open(&config, &model)?;
-        Ok(Self { config, solver: None, buffer: PixelBuffer::default(), gate: Gate::new(), model, joint })
+        let solver = CropSolver::new(config.solver.clone());
+        Ok(Self { config, solver, gate: Gate::new(), model, joint })
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {
-        match inputs.bytes("views") {
-            Some(_) => Some(read::<ReferenceViews<'static>>(inputs, "views").ok()?.objects()),
-            None => Some(read::<ObjectPoses<'static>>(inputs, "initial_poses").ok()?.poses.len()),
+        match VIEWS.given(inputs).ok()? {
+            Some(views) => Some(views.objects()),
+            None => Some(INITIAL_POSES.read(inputs).ok()?.poses.len()),
         }
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
         let looks = self.looks(inputs, context)?;
-        if outputs.is_connected("decisions") {
+        if outputs.is_connected(DECISIONS.name()) {
             let decisions: Vec<GateDecision> = looks.iter().filter_map(Look::decision).collect();
-            outputs.send("decisions", inputs.key(), GateDecisions::byte_len(decisions.len()), &mut |bytes| {
+            DECISIONS.send(outputs, inputs.key(), GateDecisions::byte_len(decisions.len()), &mut |bytes| {
                 GateDecisions::write(bytes, &decisions);
             })?;
         }
         let poses: Vec<ObjectPose> = looks.into_iter().map(|look| look.pose).collect();
         let (scene_id, image_id) = image(inputs)?;
-        outputs.send("poses", inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+        POSES.send(outputs, inputs.key(), ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, &poses);
         })
     }

@@ -8,13 +8,19 @@ use pseudoflow_edge::Catalogue;
 use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::RgbImage;
 use pseudoflow_msgs::ros::{Header, Naming, Time};
-use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
+use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
 use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, files, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role, files};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+
+const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+const POSES: Port<ObjectPoses<'static>> = Port::optional("poses");
+const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::optional("initial_poses");
+const PICTURES: Port<Pictures<'static>> = Port::optional("pictures");
+const STATUS: Port<ObjectStatuses<'static>> = Port::optional("status");
 
 /// Settings of the recorder node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -106,22 +112,22 @@ pub struct RecorderNode {
 
 impl RecorderNode {
     fn record(&mut self, inputs: &dyn Inputs, sequence: u32) -> Result<(), NodeError> {
-        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
-        let initial = optional::<ObjectPoses<'static>>(inputs, "initial_poses")?;
+        let frame = FRAME.read(inputs)?;
+        let initial = INITIAL_POSES.given(inputs)?;
         let initial = initial.map(|message| message.poses);
         let likeliest: Vec<ObjectPose> = ObjectPose::likeliest(initial.unwrap_or_default()).copied().collect();
-        let poses = optional::<ObjectPoses<'static>>(inputs, "poses")?.map(|message| message.poses);
-        let statuses = optional::<ObjectStatuses<'static>>(inputs, "status")?.map(|message| message.statuses);
-        let shown = optional::<Pictures<'static>>(inputs, "pictures")?;
+        let poses = POSES.given(inputs)?.map(|message| message.poses);
+        let statuses = STATUS.given(inputs)?.map(|message| message.statuses);
+        let shown = PICTURES.given(inputs)?;
         let period_ns = self.config.period_ms.map(|ms| i64::from(ms) * 1_000_000);
         let stamp_ns = period_ns.map_or(inputs.key().stamp_ns, |ns| ns * i64::from(sequence));
         let stamp = Time::from_ns(stamp_ns).filter(|_| stamp_ns >= 0);
         let stamp = stamp.ok_or_else(|| format!("stamp {stamp_ns} ns does not fit into ROS time and a recording"));
-        let stamp = stamp.or_bad_input("frame")?;
+        let stamp = stamp.or_bad_input(FRAME.name())?;
         let header = Header { stamp, frame_id: frame.header.frame_id().to_owned() };
         let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb.to_vec());
         let image = image.filter(|image| image.width() > 0 && image.height() > 0);
-        let image = image.ok_or("the frame has too few pixels").or_bad_input("frame")?;
+        let image = image.ok_or("the frame has too few pixels").or_bad_input(FRAME.name())?;
         let overlay = self.overlay(image.clone(), &frame, &likeliest, poses.unwrap_or_default())?;
         let followed = poses.map(|poses| self.followed.choose(inputs.key().stamp_ns, poses)).transpose()?.flatten();
         let naming = self.naming.clone();
@@ -138,7 +144,7 @@ impl RecorderNode {
         let (bag, topics) = self.open(extras)?;
         let mut writer = FrameWriter { bag, topics, naming: &naming, header, stamp_ns, sequence };
         if extras.images {
-            writer.image(jpeg(&image, jpeg_quality).or_bad_input("frame")?, frame.header)?;
+            writer.image(jpeg(&image, jpeg_quality).or_bad_input(FRAME.name())?, frame.header)?;
         }
         if let Some(initial) = initial {
             writer.initial_poses(initial)?;
@@ -199,14 +205,9 @@ impl RecorderNode {
     ) -> Result<Option<RgbImage>, NodeError> {
         let Some(painter) = &self.painter else { return Ok(None) };
         let [fx, fy, cx, cy] = frame.header.intrinsics;
-        painter.paint(&mut image, &Intrinsics { fx, fy, cx, cy }, initial, poses).or_bad_input("poses")?;
+        painter.paint(&mut image, &Intrinsics { fx, fy, cx, cy }, initial, poses).or_bad_input(POSES.name())?;
         Ok(Some(image))
     }
-}
-
-/// What a port that need not be connected has for the frame.
-fn optional<'a, M: Message>(inputs: &'a dyn Inputs, port: &'static str) -> Result<Option<M::View<'a>>, NodeError> {
-    inputs.bytes(port).map(|_| read::<M>(inputs, port)).transpose()
 }
 
 /// Writes the picture of a frame beside its place and renames it.
@@ -226,13 +227,7 @@ impl Node for RecorderNode {
     type Config = RecorderConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::optional::<ObjectPoses<'static>>("poses"),
-            PortSpec::optional::<ObjectPoses<'static>>("initial_poses"),
-            PortSpec::optional::<Pictures<'static>>("pictures"),
-            PortSpec::optional::<ObjectStatuses<'static>>("status"),
-        ]
+        vec![FRAME.spec(), POSES.spec(), INITIAL_POSES.spec(), PICTURES.spec(), STATUS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {

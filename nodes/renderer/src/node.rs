@@ -8,10 +8,16 @@ use pseudoflow_msgs::{
     CameraFrame, ObjectPose, ObjectPoses, PartnerFrames, ReferenceView, ReferenceViews, ReferenceViewsHeader,
     ReferenceViewsMut,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Draws, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+
+const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::required("initial_poses");
+const AROUND: Port<ObjectPoses<'static>> = Port::optional("around");
+const PARTNERS: Port<PartnerFrames<'static>> = Port::optional("partners");
+const VIEWS: Port<ReferenceViews<'static>> = Port::required("views");
 
 /// Settings of the renderer node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -34,6 +40,9 @@ pub struct RendererConfig {
     /// Frames of a training that went before this run: they decide what is drawn at random.
     #[serde(default)]
     pub first_frame: u64,
+    /// What decides which poses of further views are drawn.
+    #[serde(default)]
+    pub draws: Draws,
 }
 
 fn default_size_px() -> u32 {
@@ -59,6 +68,7 @@ impl RendererConfig {
             margin: default_margin(),
             device: Device::default(),
             first_frame: 0,
+            draws: Draws::default(),
         }
     }
 }
@@ -69,6 +79,7 @@ pub struct RendererNode {
     objects: ObjectSet,
     rasteriser: Box<dyn Rasteriser>,
     first_frame: u64,
+    draws: Draws,
 }
 
 impl RendererNode {
@@ -115,16 +126,11 @@ impl Node for RendererNode {
     type Config = RendererConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::required::<ObjectPoses<'static>>("initial_poses"),
-            PortSpec::optional::<ObjectPoses<'static>>("around"),
-            PortSpec::optional::<PartnerFrames<'static>>("partners"),
-        ]
+        vec![FRAME.spec(), INITIAL_POSES.spec(), AROUND.spec(), PARTNERS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<ReferenceViews<'static>>("views")]
+        vec![VIEWS.spec()]
     }
 
     fn check(config: &RendererConfig) -> Result<(), NodeError> {
@@ -152,36 +158,33 @@ impl Node for RendererNode {
         }
         log::info!("{} renders {} objects at {} px", rasteriser.name(), objects.len(), config.size_px);
         let settings = ViewSettings { size_px: config.size_px, views: config.views, margin: config.margin };
-        Ok(Self { settings, objects, rasteriser, first_frame: config.first_frame })
+        Ok(Self { settings, objects, rasteriser, first_frame: config.first_frame, draws: config.draws })
     }
 
     fn objects(inputs: &dyn Inputs) -> Option<usize> {
-        let initial = read::<ObjectPoses<'static>>(inputs, "initial_poses").ok()?;
+        let initial = INITIAL_POSES.read(inputs).ok()?;
         Some(ObjectPose::likeliest(initial.poses).count())
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, context: &Context) -> Result<(), NodeError> {
-        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
-        let initial = read::<ObjectPoses<'static>>(inputs, "initial_poses")?;
+        let frame = FRAME.read(inputs)?;
+        let initial = INITIAL_POSES.read(inputs)?;
         let (width, height) = (frame.header.width, frame.header.height);
         let [fx, fy, cx, cy] = frame.header.intrinsics;
         let intrinsics = Intrinsics { fx, fy, cx, cy };
-        let mut rng = context.rng(self.first_frame + inputs.key().index, "views");
-        let around = match inputs.bytes("around") {
-            Some(_) => read::<ObjectPoses<'static>>(inputs, "around")?.poses,
-            None => &[],
-        };
+        let image = (frame.header.scene_id, frame.header.image_id);
+        let mut rng = self.draws.rng(context, self.first_frame + inputs.key().index, image, "views");
+        let around = AROUND.given(inputs)?.map_or(&[][..], |message| message.poses);
         let size = (width, height);
         let plan = plan(initial.poses, around, &self.objects, &intrinsics, size, &self.settings, &mut rng);
-        let plan = plan.or_bad_input("initial_poses")?;
+        let plan = plan.or_bad_input(INITIAL_POSES.name())?;
         let renderings = self.rasteriser.render(&plan.rasteriser_views(self.settings.size_px))?;
         let image = RgbImage::from_raw(width, height, frame.rgb.to_vec());
-        let image = image.ok_or("the frame has too few pixels").or_bad_input("frame")?;
+        let image = image.ok_or("the frame has too few pixels").or_bad_input(FRAME.name())?;
         let crops: Vec<RgbImage> = plan.instances.iter().map(|i| resample(&image, &i.crop)).collect();
-        let partners = match inputs.bytes("partners") {
-            Some(_) => {
-                let frames = read::<PartnerFrames<'static>>(inputs, "partners")?;
-                crop_partners(&frames, &plan, &self.objects, &self.settings).or_bad_input("partners")?
+        let partners = match PARTNERS.given(inputs)? {
+            Some(frames) => {
+                crop_partners(&frames, &plan, &self.objects, &self.settings).or_bad_input(PARTNERS.name())?
             }
             None => PartnerCrops::default(),
         };
@@ -195,7 +198,7 @@ impl Node for RendererNode {
             partners_per_instance: partners.per_instance,
             reserved: 0,
         };
-        outputs.send("views", inputs.key(), ReferenceViews::byte_len(&header), &mut |bytes| {
+        VIEWS.send(outputs, inputs.key(), ReferenceViews::byte_len(&header), &mut |bytes| {
             self.fill(ReferenceViews::write(bytes, header), &plan, &renderings, &crops, &partners);
         })
     }

@@ -1,7 +1,7 @@
 //! Messages that come after their frame: kept until the frame that they are for.
 
 use pseudoflow_msgs::{Message, ObjectPose, ObjectPoses};
-use pseudoflow_runtime::{Inputs, NodeError};
+use pseudoflow_runtime::{Inputs, NodeError, Port};
 use std::collections::BTreeMap;
 
 /// What has come by one port and was not used yet.
@@ -14,8 +14,12 @@ pub(crate) struct Late {
 }
 
 impl Late {
-    pub(crate) fn new(port: &'static str) -> Self {
-        Self { port, ..Self::default() }
+    pub(crate) fn new(port: &Port<ObjectPoses<'static>>) -> Self {
+        Self { port: port.name(), ..Self::default() }
+    }
+
+    pub(crate) fn is_connected(&self, inputs: &dyn Inputs) -> bool {
+        inputs.is_connected(self.port)
     }
 
     /// Whether the message of a frame is there.

@@ -7,11 +7,20 @@ use pseudoflow_msgs::{
     CameraFrame, FrameKey, ObjectPose, ObjectPoses, ObjectStatus, ObjectStatuses, PoseSource, PoseStatus, TrackPhase,
     TrackReason, Wanted,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use pseudoflow_tracking::{
     Correction, CorrectionKind, Estimate, Frame, FrameProblem, KnownObject, Look, Phase, Step, Tracker,
 };
 use std::collections::VecDeque;
+
+const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+const FOUND: Port<ObjectPoses<'static>> = Port::late("found");
+const LOOKS: Port<ObjectPoses<'static>> = Port::late("looks");
+const SEARCH: Port<ObjectStatuses<'static>> = Port::latest("search");
+const POSES: Port<ObjectPoses<'static>> = Port::required("poses");
+const REQUESTS: Port<ObjectPoses<'static>> = Port::optional("requests");
+const WANTED: Port<Wanted<'static>> = Port::optional("wanted");
+const STATUS: Port<ObjectStatuses<'static>> = Port::optional("status");
 
 /// Frames and corrections in, poses out.
 pub struct TrackerNode {
@@ -42,11 +51,11 @@ const REMEMBERED: usize = 128;
 impl TrackerNode {
     /// Follows all objects into a frame.
     fn follow(&mut self, inputs: &dyn Inputs) -> Result<Sent, NodeError> {
-        let frame = read::<CameraFrame<'static>>(inputs, "frame")?;
+        let frame = FRAME.read(inputs)?;
         let (header, key) = (frame.header, inputs.key());
         self.looks.absorb(inputs, self.replay)?;
         self.found.absorb(inputs, self.replay)?;
-        if inputs.is_connected("looks") {
+        if inputs.is_connected(LOOKS.name()) {
             self.tracker.expect_looks();
         }
         let corrections = self.corrections(key.index);
@@ -71,10 +80,7 @@ impl TrackerNode {
 
     /// Where each object stands. What the search cannot look for yet is said in the search's own words.
     fn statuses(&self, inputs: &dyn Inputs, step: &Step) -> Result<Vec<ObjectStatus>, NodeError> {
-        let searched = match inputs.bytes("search") {
-            Some(_) => read::<ObjectStatuses<'static>>(inputs, "search")?.statuses,
-            None => &[],
-        };
+        let searched = SEARCH.given(inputs)?.map_or(&[][..], |said| said.statuses);
         let preparing = |own: &ObjectStatus| {
             let prepares =
                 |s: &&ObjectStatus| s.object_id == own.object_id && s.reason == TrackReason::Preparing as u32;
@@ -101,10 +107,10 @@ impl TrackerNode {
         found.chain(looks).collect()
     }
 
-    fn waits(&self, inputs: &dyn Inputs, late: &Late, port: &str, delay: u64) -> bool {
+    fn waits(&self, inputs: &dyn Inputs, late: &Late, delay: u64) -> bool {
         let Some(wanted) = inputs.key().index.checked_sub(delay) else { return false };
         let asked = self.first.is_some_and(|first| wanted >= first);
-        asked && inputs.is_connected(port) && !late.has(inputs, wanted)
+        asked && late.is_connected(inputs) && !late.has(inputs, wanted)
     }
 }
 
@@ -199,21 +205,11 @@ impl Node for TrackerNode {
     type Config = TrackerNodeConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::late::<ObjectPoses<'static>>("found"),
-            PortSpec::late::<ObjectPoses<'static>>("looks"),
-            PortSpec::latest::<ObjectStatuses<'static>>("search"),
-        ]
+        vec![FRAME.spec(), FOUND.spec(), LOOKS.spec(), SEARCH.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ObjectPoses<'static>>("poses"),
-            PortSpec::optional::<ObjectPoses<'static>>("requests"),
-            PortSpec::optional::<Wanted<'static>>("wanted"),
-            PortSpec::optional::<ObjectStatuses<'static>>("status"),
-        ]
+        vec![POSES.spec(), REQUESTS.spec(), WANTED.spec(), STATUS.spec()]
     }
 
     fn check(config: &TrackerNodeConfig) -> Result<(), NodeError> {
@@ -228,8 +224,8 @@ impl Node for TrackerNode {
             tracker: Tracker::new(objects, config.track.clone())?,
             config,
             ids,
-            looks: Late::new("looks"),
-            found: Late::new("found"),
+            looks: Late::new(&LOOKS),
+            found: Late::new(&FOUND),
             replay: context.replay,
             first: None,
             sent: VecDeque::new(),
@@ -238,8 +234,8 @@ impl Node for TrackerNode {
 
     fn ready(&self, inputs: &dyn Inputs) -> Result<bool, NodeError> {
         let again = self.sent.iter().any(|sent| sent.key.index == inputs.key().index);
-        let waits = self.waits(inputs, &self.looks, "looks", self.config.look_delay)
-            || self.waits(inputs, &self.found, "found", self.config.found_delay);
+        let waits = self.waits(inputs, &self.looks, self.config.look_delay)
+            || self.waits(inputs, &self.found, self.config.found_delay);
         Ok(!self.replay || again || !waits)
     }
 
@@ -263,15 +259,15 @@ impl Node for TrackerNode {
 
 fn send(outputs: &mut dyn Outputs, sent: &Sent) -> Result<(), NodeError> {
     let (scene_id, image_id) = sent.image;
-    for (port, poses) in [("poses", &sent.poses), ("requests", &sent.requests)] {
-        outputs.send(port, sent.key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
+    for (port, poses) in [(&POSES, &sent.poses), (&REQUESTS, &sent.requests)] {
+        port.send(outputs, sent.key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, poses);
         })?;
     }
-    outputs.send("wanted", sent.key, Wanted::byte_len(sent.wanted.len()), &mut |bytes| {
+    WANTED.send(outputs, sent.key, Wanted::byte_len(sent.wanted.len()), &mut |bytes| {
         Wanted::write(bytes, scene_id, image_id, &sent.wanted);
     })?;
-    outputs.send("status", sent.key, ObjectStatuses::byte_len(sent.statuses.len()), &mut |bytes| {
+    STATUS.send(outputs, sent.key, ObjectStatuses::byte_len(sent.statuses.len()), &mut |bytes| {
         ObjectStatuses::write(bytes, false, &sent.statuses);
     })
 }

@@ -1,7 +1,7 @@
 //! Trains the initializer as a JSON file says: `cargo run --release -p pseudoflow-trainer --example initializer -- run.json`
 
 use pseudoflow_trainer::initializer::{InitializerTraining, train_initializer};
-use pseudoflow_trainer::pretrain::TerminalProgress;
+use pseudoflow_trainer::offline::TerminalProgress;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info")).init();

@@ -1,7 +1,8 @@
 //! Pre-training from the command line, until `pseudoflow pretrain` takes over:
 //! `pretrain CONFIG.json`, the keys of `PretrainConfig`. Prints the summary as JSON.
 
-use pseudoflow_trainer::pretrain::{PretrainConfig, TerminalProgress, pretrain};
+use pseudoflow_trainer::offline::TerminalProgress;
+use pseudoflow_trainer::pretrain::{PretrainConfig, pretrain};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info")).init();

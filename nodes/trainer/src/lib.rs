@@ -4,6 +4,7 @@
 pub mod adapt;
 mod error;
 pub mod initializer;
+pub mod offline;
 pub mod pretrain;
 mod preview;
 pub mod synth;

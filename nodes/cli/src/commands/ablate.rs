@@ -1,9 +1,12 @@
 //! `pseudoflow ablate`: the paper's tables by other data. Every row is a training with its own settings, from the same
 //! weights, for every seed; each result is scored on a test split. What was done is not done again.
 
-use super::{adapt, progress_bar};
+use super::adapt;
 use anyhow::{Context as _, Result, bail, ensure};
-use clap::Parser;
+use clap::{Args as _, Parser};
+use pseudoflow_cli::progress::progress_bar;
+use pseudoflow_cli::training::{FOLDER, files};
+use pseudoflow_evaluator::{Report, Scores};
 use serde::Deserialize;
 use serde_yaml::Value;
 use std::collections::BTreeMap;
@@ -11,11 +14,17 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// Columns of the table: keys of `report.json`.
-const SCORES: [&str; 5] = ["add_s_recall_0.1d", "auc_add_s", "mssd_recall", "mspd_recall", "vsd_recall"];
-/// Options of adapt about how labels are made, which a supervised training has no use for.
-const LABELS_MAKING: [&str; 8] =
-    ["partners", "tau", "photo_weight", "flow_weight", "accept_all_labels", "single_look", "label", "keep_every"];
+/// A column of the table: its name and its score.
+type Column = (&'static str, fn(&Scores) -> f64);
+const SCORES: [Column; 5] = [
+    ("add_s_recall_0.1d", |scores| scores.add_s_recall),
+    ("auc_add_s", |scores| scores.auc_add_s),
+    ("mssd_recall", |scores| scores.mssd_recall),
+    ("mspd_recall", |scores| scores.mspd_recall),
+    ("vsd_recall", |scores| scores.vsd_recall),
+];
+/// The poses that are scored, as `report.json` calls them.
+const REFINED: &str = "refined";
 const WITH_TRUTH: &str = "pseudoflow-with-truth";
 
 #[derive(clap::Args)]
@@ -48,6 +57,12 @@ struct Row {
     adapt: BTreeMap<String, Value>,
     /// Folder of `SCENE/scene_gt.json`: a supervised training, by `pseudoflow-with-truth`.
     truth: Option<PathBuf>,
+}
+
+/// Options of adapt about how labels are made, which a supervised training has no use for.
+fn of_labels() -> Vec<String> {
+    let command = adapt::LabelArgs::augment_args(clap::Command::new("adapt"));
+    command.get_arguments().map(|option| option.get_id().to_string()).collect()
 }
 
 /// Only needed to try the options of a row before hours of work.
@@ -94,6 +109,10 @@ impl Job<'_> {
         self.folder.join("weights.safetensors")
     }
 
+    fn checkpoint(&self) -> PathBuf {
+        self.weights().with_extension(FOLDER).join(files::CHECKPOINT)
+    }
+
     fn report(&self) -> PathBuf {
         self.folder.join("report.json")
     }
@@ -108,23 +127,19 @@ impl Job<'_> {
     /// The command that trains; the options that only one of the two programs has stay with it.
     fn training(&self) -> Result<Command> {
         let own = std::env::current_exe().context("this program's path")?;
+        let resume = self.checkpoint().is_file().then_some("--resume");
         let Some(truth) = &self.row.truth else {
             let mut command = Command::new(own);
-            command.arg("adapt").arg("--unjudged").args(self.adapt_words()?);
-            if self.folder.join("weights.adapt/checkpoint.safetensors").is_file() {
-                command.arg("--resume");
-            }
+            command.arg("adapt").arg("--unjudged").args(resume).args(self.adapt_words()?);
             return Ok(command);
         };
         let program = own.with_file_name(WITH_TRUTH);
         ensure!(program.is_file(), "{}: not there: build the whole workspace", program.display());
         let mut options = self.options.clone();
-        for name in LABELS_MAKING {
-            options.remove(name);
-        }
+        options.retain(|name, _| !of_labels().contains(name));
         let supervised = Job { row: self.row, seed: self.seed, options, folder: self.folder.clone() };
         let mut command = Command::new(program);
-        command.arg("train").args(supervised.adapt_words()?).arg("--truth").arg(truth);
+        command.arg("train").args(resume).args(supervised.adapt_words()?).arg("--truth").arg(truth);
         Ok(command)
     }
 
@@ -153,13 +168,10 @@ impl Job<'_> {
 
     fn scores(&self) -> Result<[f64; SCORES.len()]> {
         let path = self.report();
-        let report: serde_json::Value = serde_json::from_slice(&std::fs::read(&path)?)?;
-        let mut scores = [0.0; SCORES.len()];
-        for (score, key) in scores.iter_mut().zip(SCORES) {
-            let value = report["overall"]["refined"][key].as_f64();
-            *score = value.with_context(|| format!("{}: no `overall.refined.{key}`", path.display()))?;
-        }
-        Ok(scores)
+        let report = Report::read_json(&path)?;
+        let scores = report.overall.get(REFINED);
+        let scores = scores.with_context(|| format!("{}: no scores of `{REFINED}` poses", path.display()))?;
+        Ok(SCORES.map(|(_, score)| score(scores)))
     }
 }
 
@@ -219,8 +231,8 @@ fn jobs<'a>(ablation: &'a Ablation, out: &Path) -> Result<Vec<Job<'a>>> {
 
 /// `ablation.csv` with a line for each training that is scored; returns the rows' means and spreads to print.
 fn write_table(ablation: &Ablation, jobs: &[Job<'_>], out: &Path) -> Result<String> {
-    let mut csv = format!("row,seed,{}\n", SCORES.join(","));
-    let names: String = SCORES.iter().map(|name| format!(" {name:>17}")).collect();
+    let mut csv = format!("row,seed,{}\n", SCORES.map(|(name, _)| name).join(","));
+    let names: String = SCORES.iter().map(|(name, _)| format!(" {name:>17}")).collect();
     let mut text = format!("{:32} {:>5}{names}\n", "row", "seeds");
     for row in &ablation.rows {
         let done = jobs.iter().filter(|job| std::ptr::eq(job.row, row) && job.report().is_file());

@@ -146,7 +146,7 @@ fn look(args: &Args, name: &str, network: &FlowNetwork, device: ComputeDevice) -
 fn look_with(args: &Args, name: &str, network: &FlowNetwork, device: ComputeDevice, model: &Path) -> Result<()> {
     let config = FlowConfig {
         model: model.to_owned(),
-        network: super::export::network(name)?,
+        network: pseudoflow_cli::training::network(name)?,
         size_px: args.size,
         iterations: args.iterations,
         max_batch: 16,

@@ -3,13 +3,14 @@
 //! says about itself a model is fitted that tells how often that was right.
 
 mod fit;
+mod pipeline;
 mod samples;
 mod starts;
 
-use super::progress_bar;
-use crate::pipeline::{Pipeline, PipelineConfig};
 use anyhow::{Context as _, Result, bail, ensure};
 use fit::{Fitted, fit_stage};
+use pipeline::{Pipeline, PipelineConfig};
+use pseudoflow_cli::progress::progress_bar;
 use pseudoflow_flow::FlowConfig;
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_network::ComputeDevice;
@@ -131,7 +132,7 @@ fn pipeline(args: &Args, stages: Stages, objects: &Path, size_px: u32) -> Result
 fn flow_config(args: &Args, weights: &Path, size_px: u32) -> Result<FlowConfig> {
     Ok(FlowConfig {
         model: weights.to_owned(),
-        network: super::export::network(&args.network)?,
+        network: pseudoflow_cli::training::network(&args.network)?,
         size_px,
         iterations: args.iterations,
         max_batch: 16,

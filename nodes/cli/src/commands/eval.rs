@@ -4,16 +4,16 @@ mod compare;
 mod graph;
 mod table;
 
-use super::progress_bar;
 use anyhow::{Context as _, Result, bail, ensure};
 pub(crate) use compare::{CompareArgs, compare};
 use graph::Files;
+use pseudoflow_cli::in_process::Written;
+use pseudoflow_cli::progress::progress_bar;
 use pseudoflow_evaluator::results::{details_of_estimates, read_details};
 use pseudoflow_evaluator::{EvalDataset, NamedEstimates, evaluate, load_dataset, overlays};
 use pseudoflow_metrics::{Estimate, ResultsWriter, Target, read_results};
 use pseudoflow_network::ComputeDevice;
 use pseudoflow_pnp::Stages;
-use pseudoflow_runtime::local;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -21,8 +21,8 @@ use std::process::ExitCode;
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The dataset: a folder with `models/` and splits, as BOP lays them out.
-    #[arg(long, required_unless_present = "compare")]
-    dataset: Option<PathBuf>,
+    #[arg(long)]
+    dataset: PathBuf,
     /// The split: a folder of the dataset, e.g. `test`, or `test_primesense` of T-LESS.
     #[arg(long, default_value = "test")]
     split: String,
@@ -47,8 +47,8 @@ pub(crate) struct Args {
     #[arg(long)]
     targets: Option<PathBuf>,
     /// The result file, METHOD_DATASET-SPLIT.csv: written when weights are given, else read.
-    #[arg(long, required_unless_present = "compare")]
-    csv: Option<PathBuf>,
+    #[arg(long)]
+    csv: PathBuf,
     /// Folder for `report.json` and `report.html`.
     #[arg(long)]
     report: Option<PathBuf>,
@@ -97,22 +97,16 @@ pub(crate) struct Args {
     /// Only every n-th image of the split, for a quick look.
     #[arg(long, default_value_t = 1, value_name = "N")]
     every: usize,
-    /// Instead of evaluating: shows the difference of two reports and writes `compare.html` into `--report`.
-    #[arg(long, num_args = 2, value_names = ["BEFORE.json", "AFTER.json"])]
-    compare: Option<Vec<PathBuf>>,
+    /// What `pseudoflow compare` does now.
+    #[arg(long, num_args = 2, hide = true, value_parser = moved)]
+    compare: Option<Vec<String>>,
+}
+
+fn moved(_: &str) -> Result<String, &'static str> {
+    Err("write `pseudoflow compare BEFORE.json AFTER.json`")
 }
 
 impl Args {
-    /// The parser sees to it that there is one, but for `--compare`.
-    fn dataset(&self) -> &Path {
-        self.dataset.as_deref().unwrap_or(Path::new(""))
-    }
-
-    /// As [`Self::dataset`].
-    fn csv(&self) -> &Path {
-        self.csv.as_deref().unwrap_or(Path::new(""))
-    }
-
     /// Whether poses are refined here.
     fn refines(&self) -> Result<bool> {
         Ok(self.weights.is_some() || stages_named(&self.stages)? == Stages::Region)
@@ -130,15 +124,6 @@ impl Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
-    if let Some([before, after]) = args.compare.as_deref() {
-        let folder = args.report.clone().unwrap_or_default();
-        std::fs::create_dir_all(&folder).with_context(|| format!("`--report {}`: cannot be made", folder.display()))?;
-        return compare(&CompareArgs {
-            before: before.clone(),
-            after: after.clone(),
-            out: folder.join("compare.html"),
-        });
-    }
     let runs = args.refines()? || args.initializer().is_some();
     if runs {
         check_name(args)?;
@@ -146,7 +131,7 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     let dataset = dataset(args)?;
     let sets = match runs {
         true => run_graph(args, &dataset)?,
-        false => vec![NamedEstimates::new("estimate", read_results(args.csv(), Some(&dataset.known))?)],
+        false => vec![NamedEstimates::new("estimate", read_results(&args.csv, Some(&dataset.known))?)],
     };
     let bar = progress_bar(dataset.images.len() as u64, "score");
     let mut report = evaluate(&dataset, &sets, &|done, _| bar.set_position(done as u64))?;
@@ -167,7 +152,7 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
 /// The split, or every n-th image of it.
 fn dataset(args: &Args) -> Result<EvalDataset> {
     ensure!(args.every > 0, "`--every 0`: give 1 for every image, 4 for every fourth");
-    let mut dataset = load_dataset(args.dataset(), &args.split, args.targets.as_deref())?;
+    let mut dataset = load_dataset(&args.dataset, &args.split, args.targets.as_deref())?;
     if args.every > 1 {
         let all = dataset.images.len();
         dataset.images = dataset.images.into_iter().step_by(args.every).collect();
@@ -179,20 +164,20 @@ fn dataset(args: &Args) -> Result<EvalDataset> {
 /// A submission is named METHOD_DATASET-SPLIT.csv, and the benchmark reads dataset and split from there. The folder
 /// `test_primesense` is split `test`, type `primesense`: METHOD_tless-test-primesense.csv.
 fn check_name(args: &Args) -> Result<()> {
-    let dataset = args.dataset().canonicalize().unwrap_or_else(|_| args.dataset().to_owned());
+    let dataset = args.dataset.canonicalize().unwrap_or_else(|_| args.dataset.clone());
     let dataset = dataset.file_name().and_then(|name| name.to_str()).unwrap_or("DATASET").to_owned();
     let ending = format!("_{dataset}-{}.csv", args.split.replace('_', "-"));
-    let name = args.csv().file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let name = args.csv.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let method = name.strip_suffix(&ending).unwrap_or_default();
     if method.is_empty() || method.contains(['_', '-']) {
-        bail!("`--csv {}`: a result file is named METHOD{ending}, METHOD without `_` and `-`", args.csv().display());
+        bail!("`--csv {}`: a result file is named METHOD{ending}, METHOD without `_` and `-`", args.csv.display());
     }
     Ok(())
 }
 
 /// Runs the graph over the images that an interrupted run has not done, and reads what it left.
 fn run_graph(args: &Args, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> {
-    let files = Files::beside(args.csv());
+    let files = Files::beside(&args.csv);
     files.make_folder()?;
     let done = images_done(args)?;
     let is_left = |image: &(u32, u32)| !done.contains(image);
@@ -200,16 +185,13 @@ fn run_graph(args: &Args, dataset: &EvalDataset) -> Result<Vec<NamedEstimates>> 
         &targets(dataset).into_iter().filter(|t| is_left(&(t.scene_id, t.image_id))).collect::<Vec<_>>(),
     )?;
     let graph = graph::graph(args, dataset, &files)?;
-    files.write_graph(&graph)?;
     let what = if args.refines()? { "refine" } else { "find" };
-    let bar = progress_bar(dataset.images.len() as u64, what);
-    let before = done.len() as u64;
-    local::run(&graph, &crate::registry(), files.folder(), &mut |frames| bar.set_position(before + frames))?;
-    bar.finish_and_clear();
+    let written = Written { graph: &graph, file: &files.graph() };
+    written.run(&crate::registry(), what, dataset.images.len() as u64, done.len() as u64)?;
     if !args.refines()? {
-        return Ok(vec![NamedEstimates::new("init", read_results(args.csv(), None)?)]);
+        return Ok(vec![NamedEstimates::new("init", read_results(&args.csv, None)?)]);
     }
-    let refined = read_results(args.csv(), None)?;
+    let refined = read_results(&args.csv, None)?;
     let passes: Vec<_> = (1..=args.passes).map(|pass| read_details(&files.details(pass))).collect::<Result<_, _>>()?;
     let details = details_of_estimates(&refined, &passes)?;
     let refined = NamedEstimates { details, ..NamedEstimates::new("refined", refined) };
@@ -221,7 +203,7 @@ fn images_done(args: &Args) -> Result<BTreeSet<(u32, u32)>> {
     if !(args.resume && args.refines()?) {
         return Ok(BTreeSet::new());
     }
-    let (_, done) = ResultsWriter::resume(&args.csv().with_extension("csv.part"))?;
+    let (_, done) = ResultsWriter::resume(&args.csv.with_extension("csv.part"))?;
     Ok(done.iter().map(|estimate| (estimate.scene_id, estimate.image_id)).collect())
 }
 

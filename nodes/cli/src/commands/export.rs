@@ -1,5 +1,5 @@
-use anyhow::{Context as _, Result, anyhow};
-use pseudoflow_flow::Network;
+use anyhow::{Context as _, Result};
+use pseudoflow_cli::training::network;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -28,11 +28,6 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     write_whole(&args.out, &onnx)?;
     println!("{}: {} bytes, {} px", args.out.display(), onnx.len(), args.size);
     Ok(ExitCode::SUCCESS)
-}
-
-/// The network of a name.
-pub(crate) fn network(name: &str) -> Result<Network> {
-    serde_yaml::from_str(name).map_err(|_| anyhow!("`--network {name}`: write auto, refiner, nano, small or paper"))
 }
 
 /// Writes beside and renames: the file is there whole or not at all.

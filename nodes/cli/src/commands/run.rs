@@ -105,7 +105,7 @@ fn allow_rmw_mismatch(graph: &mut Graph) {
 
 fn run_in_process(graph: &Graph, out: &Path) -> Result<ExitCode> {
     std::fs::create_dir_all(out).with_context(|| format!("`--out {}`: cannot be made", out.display()))?;
-    let bar = super::progress_spinner("frames");
+    let bar = pseudoflow_cli::progress::progress_spinner("frames");
     let summary = local::run(graph, &crate::registry(), out, &mut |frames| bar.set_position(frames))?;
     bar.finish_and_clear();
     println!("{:16} {:>7} {:>12}", "node", "frames", "ms a frame");

@@ -1,12 +1,16 @@
 use super::{Arrival, ArrivedPose};
 use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses, ObjectStatuses, TrackPhase, TrackReason};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::PathBuf;
+
+const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
+const POSES: Port<ObjectPoses<'static>> = Port::required("poses");
+const STATUS: Port<ObjectStatuses<'static>> = Port::optional("status");
 
 /// Settings of the stopwatch node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -27,11 +31,7 @@ impl Node for StopwatchNode {
     type Config = StopwatchConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<CameraFrame<'static>>("frame"),
-            PortSpec::required::<ObjectPoses<'static>>("poses"),
-            PortSpec::optional::<ObjectStatuses<'static>>("status"),
-        ]
+        vec![FRAME.spec(), POSES.spec(), STATUS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -61,12 +61,9 @@ impl Node for StopwatchNode {
     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         let age_ms = inputs.age_ns() as f64 * 1e-6;
         let key = inputs.key();
-        let header = read::<CameraFrame<'static>>(inputs, "frame")?.header;
-        let poses = read::<ObjectPoses<'static>>(inputs, "poses")?.poses;
-        let tracks = match inputs.bytes("status") {
-            Some(_) => tracks(&read::<ObjectStatuses<'static>>(inputs, "status")?),
-            None => BTreeMap::new(),
-        };
+        let header = FRAME.read(inputs)?.header;
+        let poses = POSES.read(inputs)?.poses;
+        let tracks = STATUS.given(inputs)?.map_or_else(BTreeMap::new, |message| tracks(&message));
         let arrival = Arrival {
             index: key.index,
             stamp_ns: key.stamp_ns,

@@ -2,11 +2,9 @@ use crate::{EstimateDetails, EvalError, GateStep};
 use pseudoflow_geometry::pose_from_quaternion;
 use pseudoflow_metrics::Estimate;
 use pseudoflow_msgs::{GateDecision, ObjectPose, PoseSource};
-use pseudoflow_runtime::NodeError;
+use pseudoflow_runtime::read_lines;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
-use std::io::Write;
 use std::path::Path;
 
 /// What is known of the poses of an image beside them.
@@ -92,14 +90,8 @@ impl Decision {
 /// # Errors
 /// When the file cannot be read, or a line is no such details.
 pub fn read_details(path: &Path) -> Result<BTreeMap<(u32, u32), ImageDetails>, EvalError> {
-    let error = |what: String| EvalError::DetailsFile { what: format!("{}: {what}", path.display()) };
-    let text = std::fs::read_to_string(path).map_err(|e| error(e.to_string()))?;
-    let line = |(number, line): (usize, &str)| {
-        let details = serde_json::from_str::<ImageDetails>(line);
-        let details = details.map_err(|e| error(format!("line {}: {e}", number + 1)))?;
-        Ok(((details.scene_id, details.image_id), details))
-    };
-    text.lines().enumerate().map(line).collect()
+    let lines = read_lines::<ImageDetails>(path).map_err(|error| EvalError::DetailsFile { what: error.to_string() })?;
+    Ok(lines.into_iter().map(|details| ((details.scene_id, details.image_id), details)).collect())
 }
 
 /// What is known of each estimate of a result file, from the details of each pass; the last are those of the file itself.
@@ -135,29 +127,4 @@ pub fn details_of_estimates(
         }
     }
     Ok(all)
-}
-
-/// Writes details line by line.
-pub(super) struct DetailsWriter(File);
-
-impl DetailsWriter {
-    /// Opens the file; one to append to loses a line that was cut off.
-    pub(super) fn open(path: &Path, append: bool) -> Result<Self, NodeError> {
-        let named = |error: std::io::Error| NodeError::from(format!("{}: {error}", path.display()));
-        let mut options = OpenOptions::new();
-        options.create(true);
-        if !append {
-            return Ok(Self(options.write(true).truncate(true).open(path).map_err(named)?));
-        }
-        let file = options.append(true).open(path).map_err(named)?;
-        let text = std::fs::read(path).map_err(named)?;
-        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |at| at + 1);
-        file.set_len(whole as u64).map_err(named)?;
-        Ok(Self(file))
-    }
-
-    pub(super) fn write(&mut self, details: &ImageDetails) -> Result<(), NodeError> {
-        let line = serde_json::to_string(details)? + "\n";
-        Ok(self.0.write_all(line.as_bytes())?)
-    }
 }

@@ -1,5 +1,5 @@
 use super::*;
-use pseudoflow_msgs::{AlignedBytes, CameraFrameHeader, FrameKey};
+use pseudoflow_msgs::{AlignedBytes, CameraFrameHeader, FrameKey, Message as _};
 use pseudoflow_runtime::bag::BagReader;
 use pseudoflow_runtime::{BadInput, InMemory};
 

@@ -92,7 +92,9 @@ impl Tracker {
             }
             // What is hidden cannot be looked at, which says nothing of its pose; and a track that contour, texture and rendering are
             // sure of is not given up for what a look at few pixels says.
-            _ if track.measured && track.confidence < DOUBTFUL_CONFIDENCE && (accepted || doubtful) => track.doubts += 1,
+            _ if track.measured && track.confidence < DOUBTFUL_CONFIDENCE && (accepted || doubtful) => {
+                track.doubts += 1
+            }
             _ => {}
         }
     }

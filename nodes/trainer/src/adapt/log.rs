@@ -40,7 +40,7 @@ impl AdaptLog {
         let step_of = |line: &str| line.split(',').next()?.parse::<u64>().ok();
         let kept = earlier.lines().skip(1).filter(|line| step_of(line).is_some_and(|step| step <= steps));
         let text = std::iter::once(HEADER).chain(kept).fold(String::new(), |text, line| text + line + "\n");
-        crate::pretrain::write_atomically(path, text.as_bytes())?;
+        crate::offline::write_atomically(path, text.as_bytes())?;
         let file = OpenOptions::new().append(true).open(path).map_err(failed())?;
         Ok(Self { path: path.to_owned(), file })
     }

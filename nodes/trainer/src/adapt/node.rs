@@ -4,9 +4,14 @@ use crate::TrainerError;
 use pseudoflow_msgs::{
     FlowFields, FrameKey, InstanceLabels, NetworkWeights, NetworkWeightsHeader, PseudoLabels, ReferenceViews,
 };
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, PortSpec, Role, read};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use std::path::PathBuf;
 use std::time::Instant;
+
+const VIEWS: Port<ReferenceViews<'static>> = Port::required("views");
+const FLOW: Port<FlowFields<'static>> = Port::required("flow");
+const LABELS: Port<PseudoLabels<'static>> = Port::required("labels");
+const WEIGHTS: Port<NetworkWeights<'static>> = Port::required("weights");
 
 /// Labels in, the teacher's weights out: one step of training for every `frames_per_step` frames.
 ///
@@ -69,13 +74,13 @@ impl TrainerNode {
             previous_bytes: previous.len() as u64,
         };
         let len = NetworkWeights::byte_len(&header);
-        outputs.send("weights", key, len, &mut |bytes| NetworkWeights::write(bytes, header, weights, previous))
+        WEIGHTS.send(outputs, key, len, &mut |bytes| NetworkWeights::write(bytes, header, weights, previous))
     }
 
     fn gather(&mut self, inputs: &dyn Inputs, context: &Context) -> Result<(), NodeError> {
-        let views = read::<ReferenceViews<'static>>(inputs, "views")?;
-        let flow = read::<FlowFields<'static>>(inputs, "flow")?;
-        let labels = read::<PseudoLabels<'static>>(inputs, "labels")?;
+        let views = VIEWS.read(inputs)?;
+        let flow = FLOW.read(inputs)?;
+        let labels = LABELS.read(inputs)?;
         let sizes = [views.header.size_px, flow.header.size_px, labels.header.size_px];
         if sizes != [self.config.size_px; 3] {
             let text = format!("views, flow and labels are {sizes:?} px wide, `size_px` is {}", self.config.size_px);
@@ -145,15 +150,11 @@ impl Node for TrainerNode {
     type Config = TrainerConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![
-            PortSpec::required::<ReferenceViews<'static>>("views"),
-            PortSpec::required::<FlowFields<'static>>("flow"),
-            PortSpec::required::<PseudoLabels<'static>>("labels"),
-        ]
+        vec![VIEWS.spec(), FLOW.spec(), LABELS.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
-        vec![PortSpec::required::<NetworkWeights<'static>>("weights")]
+        vec![WEIGHTS.spec()]
     }
 
     fn check(config: &TrainerConfig) -> Result<(), NodeError> {

@@ -13,9 +13,8 @@ pub use config::InitializerTraining;
 pub use preview::scene_sheet;
 
 use crate::TrainerError;
-use crate::pretrain::{
-    Curve, Progress, Row, RunLog, SHIPPED_WEIGHTS, WarmStart, check_same_run, keep, shipped, write_atomically,
-};
+use crate::offline::{self, Curve, Progress, Row, RunLog, Training, check_same_run, keep_description};
+use crate::pretrain::{SHIPPED_WEIGHTS, WarmStart, shipped};
 use crate::synth::SceneGenerator;
 use data::{Prefetch, Source};
 use pseudoflow_imaging::ObjectSet;
@@ -125,28 +124,68 @@ pub fn train_initializer(
     let network = DetectorConfig::named(&config.network, objects.len())?;
     let generator = SceneGenerator::new(Arc::clone(&objects), config.scenes(&network), config.seed)?;
     let grid = Grid::new(network.input_px[0], network.input_px[1]);
-    let (mut state, mut log) = open(config, &network, &objects)?;
-    progress.start(state.step(), config.steps);
+    let (state, log) = open(config, &network, &objects)?;
     let source = Source { generator, objects, grid, config: config.clone() };
     let (start, prefetch) = (Instant::now(), Prefetch::start(&source, state.step()));
-    while state.step() < config.steps && !progress.should_stop() {
-        let batch = prefetch.next()?;
-        let trunk = config.trunk_at(state.step());
-        let report = step(&mut state, &batch, trunk);
-        log.reports.push(report.inspect_err(|e| keep(e, || save_checkpoint(config, &state, &log)))?);
+    let mut training = InitializerRun { config, state, log, prefetch };
+    offline::train(&mut training, config.steps, progress)?;
+    training.finish(start.elapsed().as_secs_f64())
+}
+
+/// A run in progress, with what feeds it.
+struct InitializerRun<'a> {
+    config: &'a InitializerTraining,
+    state: State,
+    log: RunLog<InitializerStep>,
+    prefetch: Prefetch,
+}
+
+impl Training for InitializerRun<'_> {
+    fn step(&self) -> u64 {
+        self.state.step()
+    }
+
+    fn advance(&mut self) -> Result<String, TrainerError> {
+        let batch = self.prefetch.next()?;
+        let trunk = self.config.trunk_at(self.state.step());
+        self.log.reports.push(step(&mut self.state, &batch, trunk)?);
         let values: [fn(&InitializerStep) -> f32; 4] =
             [|r| r.loss, |r| r.space_diameters, |r| r.surface_diameters, |r| r.rectangle_sides];
-        let [loss, corners, surface, edges] = values.map(|value| log.recent(100, value));
-        progress.step(
-            state.step(),
-            &format!("loss {loss:.3}  off by (diameters): corners {corners:.3}, surface {surface:.3}; rectangle off by {edges:.3} sides"),
-        );
-        if state.step().is_multiple_of(config.checkpoint_every) {
-            save_checkpoint(config, &state, &log)?;
-        }
+        let [loss, corners, surface, edges] = values.map(|value| self.log.recent(100, value));
+        Ok(format!(
+            "loss {loss:.3}  off by (diameters): corners {corners:.3}, surface {surface:.3}; rectangle off by {edges:.3} sides"
+        ))
     }
-    save_checkpoint(config, &state, &log)?;
-    finish(config, &state, &log, start.elapsed().as_secs_f64(), prefetch.busy_s())
+
+    fn between_steps(&mut self) -> Result<(), TrainerError> {
+        if self.step().is_multiple_of(self.config.checkpoint_every) { self.save() } else { Ok(()) }
+    }
+
+    fn save(&self) -> Result<(), TrainerError> {
+        self.log.save()?;
+        Ok(self.state.save(&self.config.checkpoint_path())?)
+    }
+}
+
+impl InitializerRun<'_> {
+    fn finish(&self, seconds: f64) -> Result<InitializerSummary, TrainerError> {
+        let plot = self.config.out.with_extension("svg");
+        self.log.save_plot(&plot)?;
+        let finished = self.step() >= self.config.steps;
+        if finished {
+            self.state.weights.save(&self.config.out)?;
+        }
+        Ok(InitializerSummary {
+            step: self.step(),
+            finished,
+            loss: self.log.recent(200, |r| r.loss),
+            space_diameters: self.log.recent(200, |r| r.space_diameters),
+            seconds,
+            rendering_s: self.prefetch.busy_s(),
+            written: if finished { self.config.out.clone() } else { self.config.checkpoint_path() },
+            plot,
+        })
+    }
 }
 
 fn step(state: &mut State, batch: &data::Batch, trunk: Trunk) -> Result<InitializerStep, TrainerError> {
@@ -182,10 +221,7 @@ fn open(
     weights.info.objects = objects.iter().map(|object| object.name.clone()).collect();
     weights.info.object_ids = objects.ids();
     let state = TrainState::new(network.clone(), TrainConfig::new(config.max_lr, config.steps), weights, &device)?;
-    if let Some(folder) = config.out.parent().filter(|f| !f.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).map_err(TrainerError::io(folder))?;
-    }
-    write_atomically(&config.run_path(), description.as_bytes())?;
+    keep_description(&config.out, &config.run_path(), &description)?;
     Ok((state, RunLog::new(log_path)))
 }
 
@@ -235,39 +271,4 @@ fn describe(config: &InitializerTraining) -> String {
     let device = ComputeDevice::default();
     let fixed = InitializerTraining { resume: false, device, data_threads: 1, checkpoint_every: 1, ..config.clone() };
     serde_json::to_string_pretty(&fixed).unwrap_or_default()
-}
-
-/// The log first: a checkpoint never lacks lines of its log.
-fn save_checkpoint(
-    config: &InitializerTraining,
-    state: &State,
-    log: &RunLog<InitializerStep>,
-) -> Result<(), TrainerError> {
-    log.save()?;
-    Ok(state.save(&config.checkpoint_path())?)
-}
-
-fn finish(
-    config: &InitializerTraining,
-    state: &State,
-    log: &RunLog<InitializerStep>,
-    seconds: f64,
-    rendering_s: f64,
-) -> Result<InitializerSummary, TrainerError> {
-    let plot = config.out.with_extension("svg");
-    log.save_plot(&plot)?;
-    let finished = state.step() >= config.steps;
-    if finished {
-        state.weights.save(&config.out)?;
-    }
-    Ok(InitializerSummary {
-        step: state.step(),
-        finished,
-        loss: log.recent(200, |r| r.loss),
-        space_diameters: log.recent(200, |r| r.space_diameters),
-        seconds,
-        rendering_s,
-        written: if finished { config.out.clone() } else { config.checkpoint_path() },
-        plot,
-    })
 }

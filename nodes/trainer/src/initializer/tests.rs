@@ -1,6 +1,6 @@
 use super::augment::example;
 use super::*;
-use crate::pretrain::Silent;
+use crate::offline::Silent;
 use crate::synth::SceneConfig;
 use crate::synth::tests::write_objects;
 use rand::SeedableRng;

@@ -4,9 +4,7 @@
 
 mod config;
 mod data;
-mod log;
 mod networks;
-mod progress;
 mod run;
 mod validation;
 
@@ -15,19 +13,17 @@ mod tests;
 
 pub(crate) use config::shipped;
 pub use config::{Course, PretrainConfig, SHIPPED_REFINER, SHIPPED_WEIGHTS, SizeShare, WarmStart};
-pub use progress::{Progress, Silent, TerminalProgress};
 
 use crate::TrainerError;
+use crate::offline::{self, Curve, Progress, Row, RunLog, Training, write_atomically};
 use crate::synth::{ObjectPool, SampleGenerator};
 use data::Prefetch;
 pub(crate) use data::push_planes;
-pub(crate) use log::write_atomically;
-pub(crate) use log::{Curve, Row, RunLog};
 use networks::PairNetwork;
-use pseudoflow_network::{ComputeDevice, FlowNetwork, NetworkError};
+use pseudoflow_network::{ComputeDevice, FlowNetwork};
 use run::Run;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 use validation::Validation;
@@ -133,27 +129,50 @@ fn train<M: PairNetwork>(
     let generator = SampleGenerator::new(Arc::new(pool), config.synth.clone(), config.seed)?;
     let generator = generator.with_backgrounds(&config.backgrounds, config.only_shippable)?;
     let mut validation = Validation::new(config, &generator, held_out, network.size_px(), M::TAKES_GEOMETRY)?;
-    let mut run = Run::open(config, network, generator.objects())?;
+    let run = Run::open(config, network, generator.objects())?;
     write_atomically(&config.out.with_extension("card.json"), generator.card().to_json().as_bytes())?;
-    let first = run.state.step();
+    let (first, size_px) = (run.state.step(), run.state.network.size_px());
     validation.resume(config, first)?;
-    progress.start(first, config.steps);
-    let (start, size_px) = (Instant::now(), run.state.network.size_px());
+    let start = Instant::now();
     let prefetch = Prefetch::start(&generator, config, size_px, M::TAKES_GEOMETRY, first)?;
-    let mut pairs = 0;
-    while run.state.step() < config.steps && !progress.should_stop() {
-        let batch = prefetch.next(run.state.step() - first)?;
-        pairs += batch.pairs();
-        let step = run.step(&batch);
-        step.inspect_err(|e| keep(e, || run.save(config, &validation)))?;
-        let (loss_px, epe_px) = recent(&run.log, 100);
-        let seen = validation.last_text();
-        progress.step(run.state.step(), &format!("loss {loss_px:.3} px  EPE {epe_px:.3} px{seen}"));
-        run.between_steps(config, &mut validation)?;
+    let mut training = Pretraining { config, run, validation, prefetch, first, pairs: 0 };
+    offline::train(&mut training, config.steps, progress)?;
+    let (seconds, pairs) = (start.elapsed().as_secs_f64(), training.pairs as f64);
+    training.run.finish(config, seconds, pairs / seconds.max(1e-9), training.prefetch.made_per_s())
+}
+
+/// A run with what feeds and measures it.
+struct Pretraining<'a, M> {
+    config: &'a PretrainConfig,
+    run: Run<M>,
+    validation: Validation,
+    prefetch: Prefetch,
+    /// Steps that an earlier part of the run took.
+    first: u64,
+    /// Pairs of this part.
+    pairs: usize,
+}
+
+impl<M: PairNetwork> Training for Pretraining<'_, M> {
+    fn step(&self) -> u64 {
+        self.run.state.step()
     }
-    run.save(config, &validation)?;
-    let seconds = start.elapsed().as_secs_f64();
-    run.finish(config, seconds, pairs as f64 / seconds.max(1e-9), prefetch.made_per_s())
+
+    fn advance(&mut self) -> Result<String, TrainerError> {
+        let batch = self.prefetch.next(self.step() - self.first)?;
+        self.pairs += batch.pairs();
+        self.run.step(&batch)?;
+        let (loss_px, epe_px) = recent(&self.run.log, 100);
+        Ok(format!("loss {loss_px:.3} px  EPE {epe_px:.3} px{}", self.validation.last_text()))
+    }
+
+    fn between_steps(&mut self) -> Result<(), TrainerError> {
+        self.run.between_steps(self.config, &mut self.validation)
+    }
+
+    fn save(&self) -> Result<(), TrainerError> {
+        self.run.save(self.config, &self.validation)
+    }
 }
 
 /// What decides the weights: the configuration without what may change on resuming.
@@ -166,30 +185,6 @@ fn describe(config: &PretrainConfig) -> String {
         (fixed.steps, fixed.schedule) = (1, None);
     }
     serde_json::to_string_pretty(&fixed).unwrap_or_default()
-}
-
-/// When a GPU fails, the steps before are whole: they go to the checkpoint, whatever its interval.
-pub(crate) fn keep(error: &TrainerError, save: impl FnOnce() -> Result<(), TrainerError>) {
-    if let TrainerError::Network(NetworkError::DeviceFailed { .. }) = error {
-        match save() {
-            Ok(()) => ::log::error!("the device failed; all steps before are in the checkpoint (`--resume`)"),
-            Err(error) => ::log::error!("the device failed, and the checkpoint could not be written: {error}"),
-        }
-    }
-}
-
-/// Refuses to resume with another configuration than the kept one.
-pub(crate) fn check_same_run(path: &Path, description: &str) -> Result<(), TrainerError> {
-    let found = std::fs::read_to_string(path).map_err(TrainerError::io(path))?;
-    let differs = found.lines().zip(description.lines()).find(|(a, b)| a != b);
-    match differs {
-        Some((there, here)) => Err(TrainerError::OtherRun {
-            path: path.to_owned(),
-            there: there.trim().to_owned(),
-            here: here.trim().to_owned(),
-        }),
-        None => Ok(()),
-    }
 }
 
 impl PretrainConfig {

@@ -3,10 +3,9 @@
 use super::data::Batch;
 use super::networks::PairNetwork;
 use super::validation::Validation;
-use super::{
-    Course, PretrainConfig, PretrainSummary, RunLog, StepReport, check_same_run, describe, recent, write_atomically,
-};
+use super::{Course, PretrainConfig, PretrainSummary, StepReport, describe, recent};
 use crate::TrainerError;
+use crate::offline::{RunLog, check_same_run, keep_description};
 use crate::synth::ObjectPool;
 use pseudoflow_network::{FlowNetwork, TrainState, Weights};
 use std::path::PathBuf;
@@ -42,10 +41,7 @@ impl<M: PairNetwork> Run<M> {
         weights.info.objects = objects.names().to_vec();
         let average = Some((weights.clone(), config.averaged_steps())).filter(|(_, steps)| *steps > 0);
         let state = TrainState::new(network, config.train_config(), weights, &config.device.open()?.device)?;
-        if let Some(folder) = config.out.parent().filter(|f| !f.as_os_str().is_empty()) {
-            std::fs::create_dir_all(folder).map_err(TrainerError::io(folder))?;
-        }
-        write_atomically(&config.run_path(), describe(config).as_bytes())?;
+        keep_description(&config.out, &config.run_path(), &describe(config))?;
         Ok(Self { state, log: RunLog::new(config.out.with_extension("csv")), average })
     }
 

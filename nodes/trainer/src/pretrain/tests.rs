@@ -1,6 +1,8 @@
 use super::*;
+use crate::offline::Silent;
 use crate::synth::tests::write_objects;
 use std::fs;
+use std::path::Path;
 
 /// Two RAFT iterations on 64 px crops, from random weights.
 fn tiny(folder: &Path) -> PretrainConfig {

@@ -1,9 +1,10 @@
 //! How well a network does on renderings of objects that it never saw in training: the learning curve of a run.
 
+use super::PretrainConfig;
 use super::data::{Batch, Schedule};
 use super::networks::PairNetwork;
-use super::{Curve, PretrainConfig, Row, RunLog};
 use crate::TrainerError;
+use crate::offline::{Curve, Row, RunLog};
 use crate::synth::{ObjectPool, Sample, SampleGenerator};
 use pseudoflow_network::Weights;
 use std::sync::Arc;

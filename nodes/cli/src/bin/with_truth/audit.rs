@@ -1,25 +1,27 @@
-use crate::truth::Truth;
-use crate::{Failure, Source, bytes, context, network, step};
-use pseudoflow_consistency::{ConsistencyConfig, ConsistencyNode, Label, label_panel};
-use pseudoflow_flow::{FlowConfig, FlowNode};
-use pseudoflow_inference::EngineConfig;
-use pseudoflow_msgs::{FlowFields, Message, PseudoLabels, ReferenceViews};
-use pseudoflow_network::ComputeDevice;
-use pseudoflow_player::PlayerNode;
-use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
-use pseudoflow_renderer::{RendererConfig, RendererNode};
-use pseudoflow_runtime::{Context, InMemory, Node};
-use serde_json::json;
-use std::path::{Path, PathBuf};
-
-const TAUS_AT_256: [f32; 6] = [0.5, 1.0, 1.5, 2.0, 4.0, 8.0];
+use crate::audit_node::{AuditConfig, TAUS_AT_256, Tally};
+use crate::truth::TruthFiles;
+use anyhow::{Context as _, Result, ensure};
+use pseudoflow_cli::in_process::{Written, take_out};
+use pseudoflow_cli::training::{adapt_graph, look_once, network};
+use pseudoflow_player::{PlayerConfig, open_recording};
+use pseudoflow_runtime::{Draws, Graph, Stride, read_lines};
+use serde_json::{Value, json};
+use std::num::NonZeroU64;
+use std::path::PathBuf;
 
 /// Prints, for each tau, the share of the object's pixels that keep a label, and the share of these within 2 px (of a
 /// 256 px crop) of the truth.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    #[command(flatten)]
-    source: Source,
+    /// Recordings: BOP scenes, whose names are those of `--truth`.
+    #[arg(long = "bag", required = true, num_args = 1..)]
+    bags: Vec<PathBuf>,
+    /// Folder of `SCENE/scene_gt.json`.
+    #[arg(long)]
+    truth: PathBuf,
+    /// The object set: a BOP `models/` folder.
+    #[arg(long)]
+    objects: PathBuf,
     /// The teacher's weights.
     #[arg(long)]
     weights: PathBuf,
@@ -30,8 +32,8 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 256)]
     size: u32,
     /// Looks at every n-th frame.
-    #[arg(long, default_value_t = 4)]
-    every: usize,
+    #[arg(long, default_value = "4")]
+    every: NonZeroU64,
     /// Fewest views that must see a point.
     #[arg(long, default_value_t = 3)]
     min_views: usize,
@@ -44,144 +46,77 @@ pub(crate) struct Args {
     /// Draws the labels of the first frames into this folder.
     #[arg(long)]
     pictures: Option<PathBuf>,
+    /// Folder of the graph and of the counts.
+    #[arg(long, default_value = "out/audit")]
+    out: PathBuf,
     /// Seed.
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
-/// Pixels kept, within 2 px, and on the object.
-#[derive(Default, Clone, Copy)]
-struct Tally {
-    kept: [usize; TAUS_AT_256.len()],
-    right: [usize; TAUS_AT_256.len()],
-    visible: usize,
-    all_right: usize,
-}
+/// No label is refused, for the counts are by tau: the largest that a graph can say.
+const EVERY_TAU: f32 = 64.0;
+/// Fields in one run of the network.
+const MAX_BATCH: u32 = 8;
 
-struct Nodes {
-    player: PlayerNode,
-    /// Renderer of one view, and who makes a pose of its flow.
-    first_look: Option<(RendererNode, PnpNode)>,
-    renderer: RendererNode,
-    flow: FlowNode,
-    consistency: ConsistencyNode,
-    context: Context,
-}
-
-impl Nodes {
-    fn open(args: &Args) -> Result<Self, Failure> {
-        let context = context(args.seed);
-        let renderer = RendererConfig { views: 4, ..RendererConfig::new(args.source.objects.clone(), args.size) };
-        let flow = FlowConfig {
-            model: args.weights.clone(),
-            network: network(&args.network)?,
-            size_px: args.size,
-            iterations: Some(12),
-            max_batch: 8,
-            device: ComputeDevice::default(),
-            engine: EngineConfig::default(),
-            lockstep: None,
-        };
-        let labels = ConsistencyConfig {
-            tau_px_at_256: 64.0,
-            min_views: args.min_views,
-            label: serde_json::from_value::<Label>(json!(args.label))?,
-            ..ConsistencyConfig::default()
-        };
-        let first_look = match args.refine_first {
-            true => Some((
-                RendererNode::create(RendererConfig::new(args.source.objects.clone(), args.size), &context)?,
-                PnpNode::create(PnpNodeConfig::default(), &context)?,
-            )),
-            false => None,
-        };
-        Ok(Self {
-            first_look,
-            player: PlayerNode::create(args.source.player(), &context)?,
-            renderer: RendererNode::create(renderer, &context)?,
-            flow: FlowNode::create(flow, &context)?,
-            consistency: ConsistencyNode::create(labels, &context)?,
-            context,
-        })
+/// What labels are made by in `adapt.yaml`, and the audit in the trainer's place.
+fn graph(args: &Args) -> Result<Graph> {
+    let mut graph = adapt_graph()?;
+    graph.seed = args.seed;
+    graph.set_params(&json!({
+        "source": args.bags[0],
+        "also": args.bags[1..],
+        "initial_poses": {},
+        "objects": args.objects,
+        "weights": args.weights,
+        "network": network(&args.network)?,
+        "size_px": args.size,
+        "label": args.label,
+        "tau": EVERY_TAU,
+    }))?;
+    take_out(&mut graph, &["trainer"]);
+    if !args.refine_first {
+        look_once(&mut graph);
     }
-
-    fn frame(&mut self, number: u64) -> Result<InMemory, Failure> {
-        let mut messages = InMemory::default();
-        self.player.produce(number, &mut messages, &self.context)?;
-        messages.messages.retain(|(port, _)| port != "partners");
-        if let Some((renderer, pnp)) = &mut self.first_look {
-            step(renderer, &mut messages, &self.context)?;
-            step(&mut self.flow, &mut messages, &self.context)?;
-            step(pnp, &mut messages, &self.context)?;
-            messages.messages.retain(|(port, _)| ["frame", "initial_poses", "poses"].contains(&port.as_str()));
-            messages
-                .messages
-                .iter_mut()
-                .filter(|(port, _)| port == "poses")
-                .for_each(|(port, _)| *port = "around".into());
-        }
-        step(&mut self.renderer, &mut messages, &self.context)?;
-        step(&mut self.flow, &mut messages, &self.context)?;
-        step(&mut self.consistency, &mut messages, &self.context)?;
-        Ok(messages)
-    }
-}
-
-fn count(
-    views: &ReferenceViews<'_>,
-    labels: &PseudoLabels<'_>,
-    truth: &Truth,
-    tally: &mut Tally,
-) -> Result<(), Failure> {
-    let size_px = views.header.size_px as usize;
-    let (area, scale) = (size_px * size_px, size_px as f32 / 256.0);
-    for number in 0..views.views.len() {
-        let Some(real) = truth.flow(views, number)? else { continue };
-        for pixel in (0..area).filter(|pixel| views.mask[number * area + pixel] != 0) {
-            tally.visible += 1;
-            let at = number * area + pixel;
-            let off = |axis: usize| labels.label_px[2 * at + axis] - real.flow_px[2 * pixel + axis];
-            let right = off(0).hypot(off(1)) <= 2.0 * scale;
-            tally.all_right += usize::from(right);
-            for (i, tau) in TAUS_AT_256.iter().enumerate() {
-                let kept = labels.valid[at] != 0 && labels.sigma_px[at] < tau * scale;
-                tally.kept[i] += usize::from(kept);
-                tally.right[i] += usize::from(kept && right);
-            }
+    graph.nodes["renderer"].inputs.shift_remove("partners");
+    let frames = Stride { start: 0, step: args.every };
+    // What is drawn depends on an image's place in the recordings, whichever are looked at.
+    let draws = Draws { name: Some("with-truth".into()), frames, ..Draws::default() };
+    let settings = [
+        ("player", "sampling", Value::Null),
+        ("player", "frames", json!(frames)),
+        ("renderer", "draws", json!(draws)),
+        ("pnp", "draws", json!(draws)),
+        ("flow", "lockstep", Value::Null),
+        ("flow", "max_batch", json!(MAX_BATCH)),
+        ("look_flow", "lockstep", Value::Null),
+        ("consistency", "min_views", json!(args.min_views)),
+    ];
+    for (node, key, value) in settings {
+        if graph.nodes.contains_key(node) {
+            graph.set(&format!("{node}.{key}"), &value.to_string())?;
         }
     }
-    Ok(())
+    let truth = TruthFiles { poses: args.truth.clone(), objects: args.objects.clone() };
+    let config = AuditConfig { truth, lines: counts(args), pictures: args.pictures.clone() };
+    let inputs = json!({"views": "renderer/views", "flow": "flow/flow", "labels": "consistency/labels"});
+    let node = json!({"kind": "audit", "inputs": inputs, "config": config});
+    graph.nodes.insert("audit".into(), serde_json::from_value(node)?);
+    Ok(graph)
 }
 
-fn draw(
-    views: &ReferenceViews<'_>,
-    flow: &FlowFields<'_>,
-    labels: &PseudoLabels<'_>,
-    folder: &Path,
-) -> Result<(), Failure> {
-    for instance in 0..views.header.instances as usize {
-        let Some(panel) = label_panel(views, flow, labels, instance) else { continue };
-        let object_id = labels.info[instance].object_id;
-        panel.save(folder.join(format!("{:06}_{object_id:02}.png", views.header.image_id)))?;
-    }
-    Ok(())
+fn counts(args: &Args) -> PathBuf {
+    args.out.join("counts.jsonl")
 }
 
-pub(crate) fn run(args: &Args) -> Result<(), Failure> {
-    let truth = args.source.truth()?;
-    let mut nodes = Nodes::open(args)?;
-    let mut tally = Tally::default();
-    for (i, number) in (0..nodes.player.count()).step_by(args.every.max(1)).enumerate() {
-        let messages = nodes.frame(number as u64)?;
-        let views = ReferenceViews::view(bytes(&messages, "views")?)?;
-        let flow = FlowFields::view(bytes(&messages, "flow")?)?;
-        let labels = PseudoLabels::view(bytes(&messages, "labels")?)?;
-        count(&views, &labels, &truth, &mut tally)?;
-        if let Some(folder) = args.pictures.as_ref().filter(|_| i < 3) {
-            std::fs::create_dir_all(folder)?;
-            draw(&views, &flow, &labels, folder)?;
-        }
-    }
+pub(crate) fn run(args: &Args) -> Result<()> {
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be made", args.out.display()))?;
+    let recordings = PlayerConfig { also: args.bags[1..].to_vec(), ..PlayerConfig::new(args.bags[0].clone()) };
+    let frames = (open_recording(&recordings)?.count() as u64).div_ceil(args.every.get());
+    let written = Written { graph: &graph(args)?, file: &args.out.join("audit.yaml") };
+    written.run(&crate::registry(), "audit", frames, 0)?;
+    let tally: Tally = read_lines::<Tally>(&counts(args))?.into_iter().sum();
+    ensure!(tally.visible > 0, "no frame shows an object whose pose is known");
     print(&tally);
     Ok(())
 }

@@ -5,19 +5,20 @@
 //!   the images could take the network (paper, table "supervised").
 //! - `audit`: how many pseudo-labels are right.
 
-#![allow(clippy::print_stdout, reason = "a measurement for people")]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a measurement for people")]
 
 mod audit;
+mod audit_node;
 mod train;
 mod truth;
+mod truth_node;
 
+use anyhow::{Result, bail};
+use audit_node::AuditNode;
 use clap::Parser;
-use pseudoflow_player::PlayerConfig;
-use pseudoflow_runtime::{Context, InMemory, Node, NodeError};
-use std::path::PathBuf;
-use truth::Truth;
-
-type Failure = Box<dyn std::error::Error + Send + Sync>;
+use pseudoflow_runtime::{Graph, Registry, graph, local};
+use std::path::{Path, PathBuf};
+use truth_node::TruthNode;
 
 #[derive(Parser)]
 #[command(name = "pseudoflow-with-truth", version, about = "Measurements that need true poses of training images")]
@@ -26,64 +27,51 @@ enum Command {
     Train(train::Args),
     /// Compares pseudo-labels with the true flow.
     Audit(audit::Args),
+    /// Checks a graph that one of these wrote.
+    Check { graph: PathBuf },
+    /// Draws a graph that one of these wrote, as mermaid text.
+    Graph { graph: PathBuf },
+    /// Runs a graph that one of these wrote.
+    Run { graph: PathBuf },
 }
 
-/// The recordings, and what is true in them.
-#[derive(clap::Args)]
-struct Source {
-    /// Recordings: BOP scenes, whose names are those of `--truth`.
-    #[arg(long = "bag", required = true, num_args = 1..)]
-    bags: Vec<PathBuf>,
-    /// Folder of `SCENE/scene_gt.json`.
-    #[arg(long)]
-    truth: PathBuf,
-    /// The object set: a BOP `models/` folder.
-    #[arg(long)]
-    objects: PathBuf,
+/// The nodes of a training, and those that know the truth.
+fn registry() -> Registry {
+    Registry::new()
+        .with::<pseudoflow_player::PlayerNode>()
+        .with::<pseudoflow_renderer::RendererNode>()
+        .with::<pseudoflow_flow::FlowNode>()
+        .with::<pseudoflow_pnp::PnpNode>()
+        .with::<pseudoflow_consistency::ConsistencyNode>()
+        .with::<pseudoflow_trainer::adapt::TrainerNode>()
+        .with::<TruthNode>()
+        .with::<AuditNode>()
 }
 
-impl Source {
-    fn player(&self) -> PlayerConfig {
-        PlayerConfig {
-            also: self.bags[1..].to_vec(),
-            objects: Some(self.objects.clone()),
-            ..PlayerConfig::new(self.bags[0].clone())
-        }
-    }
-
-    fn truth(&self) -> Result<Truth, Failure> {
-        Truth::read(&self.truth, &self.objects)
-    }
-}
-
-fn main() -> Result<(), Failure> {
+fn main() -> Result<()> {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).init();
     match Command::parse() {
         Command::Train(args) => train::run(&args),
         Command::Audit(args) => audit::run(&args),
+        Command::Check { graph } => check(&graph),
+        Command::Graph { graph } => {
+            print!("{}", graph::mermaid(&Graph::read(&graph)?, &registry())?);
+            Ok(())
+        }
+        Command::Run { graph } => {
+            let folder = graph.parent().unwrap_or(Path::new("."));
+            local::run(&Graph::read(&graph)?, &registry(), folder, &mut |_| ())?;
+            Ok(())
+        }
     }
 }
 
-/// A context for nodes that run in this process.
-fn context(seed: u64) -> Context {
-    Context { name: "with-truth".into(), seed, out_dir: std::env::temp_dir(), restarts: 0, replay: true }
-}
-
-/// Feeds a node with what the nodes before it made and adds what it makes.
-fn step<N: Node>(node: &mut N, messages: &mut InMemory, context: &Context) -> Result<(), NodeError> {
-    let mut out = InMemory { key: messages.key, ..InMemory::default() };
-    node.process(messages, &mut out, context)?;
-    messages.messages.append(&mut out.messages);
+fn check(path: &Path) -> Result<()> {
+    let graph = Graph::read(path)?;
+    if let Err(problems) = graph::check(&graph, &registry()) {
+        problems.iter().for_each(|problem| eprintln!("{problem}"));
+        bail!("{}: {} problems", path.display(), problems.len());
+    }
+    println!("{}: {} nodes, no problems", path.display(), graph.nodes.len());
     Ok(())
-}
-
-fn bytes<'a>(messages: &'a InMemory, port: &str) -> Result<&'a [u8], Failure> {
-    let found = messages.messages.iter().find(|(name, _)| name == port);
-    Ok(found.map(|(_, bytes)| &**bytes).ok_or_else(|| format!("no message `{port}`"))?)
-}
-
-/// The weights' network by its name.
-fn network(name: &str) -> Result<pseudoflow_flow::Network, Failure> {
-    serde_json::from_value(serde_json::Value::from(name))
-        .map_err(|_| format!("`--network {name}`: write nano, small or paper").into())
 }

@@ -1,17 +1,39 @@
 //! True poses of the images and the flow that they mean.
 
-use crate::Failure;
+use anyhow::{Context as _, Result, bail};
 use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion};
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View};
 use pseudoflow_msgs::ReferenceViews;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::PathBuf;
 
 /// A surface point is seen when the true scene is this near to it, share of its distance: 2 mm at a metre.
 const DEPTH_TOLERANCE: f64 = 0.002;
+
+/// Where the truth is: what the nodes that need it are told.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct TruthFiles {
+    /// Folder of `SCENE/scene_gt.json`.
+    pub(crate) poses: PathBuf,
+    /// The object set: a BOP `models/` folder.
+    pub(crate) objects: PathBuf,
+}
+
+impl TruthFiles {
+    /// What `check` can say before anything starts.
+    pub(crate) fn check(&self) -> Result<()> {
+        match [&self.poses, &self.objects].into_iter().find(|folder| !folder.is_dir()) {
+            Some(folder) => bail!("`{}`: no such folder", folder.display()),
+            None => Ok(()),
+        }
+    }
+}
 
 /// True poses by scene and image, and the meshes that hide one another.
 pub(crate) struct Truth {
@@ -40,32 +62,35 @@ fn pose(entry: &Value) -> Option<(u32, Pose)> {
 }
 
 impl Truth {
-    /// Reads `FOLDER/SCENE/scene_gt.json` of every scene.
-    pub(crate) fn read(folder: &Path, models: &Path) -> Result<Self, Failure> {
+    /// Reads the true poses of every scene.
+    pub(crate) fn read(files: &TruthFiles) -> Result<Self> {
+        let folder = &files.poses;
         let mut rasteriser = SoftwareRasteriser::new();
-        for object in ObjectSet::load(models)?.iter() {
+        for object in ObjectSet::load(&files.objects)?.iter() {
             rasteriser.add_object(object.id, &object.mesh)?;
         }
         let mut poses = BTreeMap::new();
-        for entry in std::fs::read_dir(folder)? {
+        for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
             let path = entry?.path();
             let Some(scene_id) = path.file_name().and_then(|name| name.to_str()?.parse().ok()) else { continue };
             let file = path.join("scene_gt.json");
-            let text = std::fs::read(&file).map_err(|error| format!("{}: {error}", file.display()))?;
-            let images: BTreeMap<u32, Vec<Value>> = serde_json::from_slice(&text)?;
+            let text = std::fs::read(&file).with_context(|| file.display().to_string())?;
+            let images: BTreeMap<u32, Vec<Value>> =
+                serde_json::from_slice(&text).with_context(|| file.display().to_string())?;
             for (image_id, entries) in images {
                 let all = entries.iter().map(pose).collect::<Option<_>>();
-                poses.insert((scene_id, image_id), all.ok_or_else(|| format!("{}: not a BOP file", file.display()))?);
+                let all = all.with_context(|| format!("{}: not a BOP file", file.display()))?;
+                poses.insert((scene_id, image_id), all);
             }
         }
-        match poses.is_empty() {
-            true => Err(format!("{}: no SCENE/scene_gt.json there", folder.display()).into()),
-            false => Ok(Self { poses, rasteriser }),
+        if poses.is_empty() {
+            bail!("{}: no SCENE/scene_gt.json there", folder.display());
         }
+        Ok(Self { poses, rasteriser })
     }
 
     /// The true flow of one view (`number` of the message); none when the object is not in the image.
-    pub(crate) fn flow(&self, views: &ReferenceViews<'_>, number: usize) -> Result<Option<TrueFlow>, Failure> {
+    pub(crate) fn flow(&self, views: &ReferenceViews<'_>, number: usize) -> Result<Option<TrueFlow>> {
         let (header, view, size_px) = (views.header, &views.views[number], views.header.size_px as usize);
         let none = Vec::new();
         let objects = self.poses.get(&(header.scene_id, header.image_id)).unwrap_or(&none);
@@ -94,7 +119,7 @@ impl Truth {
     }
 
     /// Depth of the nearest object of the true scene; infinite where none is.
-    fn depth(&self, objects: &[(u32, Pose)], k: &Intrinsics, size_px: u32) -> Result<Vec<f32>, Failure> {
+    fn depth(&self, objects: &[(u32, Pose)], k: &Intrinsics, size_px: u32) -> Result<Vec<f32>> {
         let view = |(object_id, pose): &(u32, Pose)| View {
             object_id: *object_id,
             camera_from_object: *pose,

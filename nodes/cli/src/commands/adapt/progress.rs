@@ -1,5 +1,5 @@
-use super::training::LOG;
 use indicatif::{ProgressBar, ProgressStyle};
+use pseudoflow_cli::training::files;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,7 +14,7 @@ pub(super) struct Watch {
 
 impl Watch {
     pub(super) fn start(folder: &Path, steps: u64) -> Self {
-        let (done, path) = (Arc::new(AtomicBool::new(false)), folder.join(LOG));
+        let (done, path) = (Arc::new(AtomicBool::new(false)), folder.join(files::LOG));
         let template = "{bar:30} {pos}/{len} steps  {per_sec}  ETA {eta}  {msg}";
         let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
         let bar = ProgressBar::new(steps).with_style(style);

@@ -1,13 +1,18 @@
 //! The page about a training: curves of the trainer's log, the verdict, and held-out instances before and after.
 
 use super::chart::{Curve, chart};
-use super::judge::{Case, PANEL_PX, Verdict};
+use super::judge::{self, Judgement};
 use super::{Args, training};
 use anyhow::{Context as _, Result};
 use base64::Engine as _;
-use pseudoflow_geometry::pose_from_quaternion;
+use pseudoflow_cli::training::files;
+use pseudoflow_geometry::{Crop, Intrinsics, pose_from_quaternion};
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
-use pseudoflow_imaging::{INITIAL_COLOUR, ObjectSet, REFINED_COLOUR, RgbImage, draw_pose_contour, encode_jpeg};
+use pseudoflow_imaging::{
+    INITIAL_COLOUR, ObjectSet, REFINED_COLOUR, RgbImage, draw_pose_contour, encode_jpeg, resample,
+};
+use pseudoflow_player::{LoadedFrame, open_recording};
+use pseudoflow_pnp::judge::{JudgedFrame, JudgedInstance};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -26,19 +31,19 @@ const CURVES: [(&str, &str, &[&str]); 4] = [
     ("Age of the teacher that labels", "steps", &["staleness_steps"]),
 ];
 
-pub(super) fn write(args: &Args, folder: &Path, verdict: &Verdict) -> Result<PathBuf> {
-    let out = args.report.clone().unwrap_or_else(|| folder.to_owned());
-    std::fs::create_dir_all(&out).with_context(|| format!("{}: cannot be made", out.display()))?;
-    let json = serde_json::to_vec_pretty(verdict)?;
-    std::fs::write(out.join("verdict.json"), json).with_context(|| format!("{}: cannot be written", out.display()))?;
-    let mut body = format!("<pre>{}</pre>\n", verdict.text());
-    body += &curves(&folder.join(training::LOG))?;
+/// Width and height of the pictures.
+const PANEL_PX: u32 = 220;
+
+/// Writes the page into `out`; the training's files are in `folder`.
+pub(super) fn write(args: &Args, folder: &Path, judgement: &Judgement, out: &Path) -> Result<PathBuf> {
+    let mut body = format!("<pre>{}</pre>\n", judge::text(&judgement.verdict));
+    body += &curves(&folder.join(files::LOG))?;
     body += &labels(&folder.join(training::LABELS))?;
     body += "<h2>Held-out instances</h2>\n<p class=\"note\">Red: refined with the weights that went in. Green: with those \
              that came out. No truth is known here; the gain is that of the agreement.</p>\n";
-    body += &pictures(args, verdict)?;
+    body += &pictures(args, judgement)?;
     let path = out.join("report.html");
-    let title = format!("Adaptation of {}", args.weights.display());
+    let title = format!("Adaptation of {}", args.training.weights.display());
     let page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>{STYLE}</head><body>\n<h1>{title}</h1>\n{body}</body></html>\n"
     );
@@ -102,11 +107,19 @@ fn averaged(rows: &[Vec<f64>], step: usize, column: usize) -> Vec<(f64, f64)> {
     points.collect()
 }
 
+/// One held-out instance.
+#[derive(Clone, Copy)]
+struct Case<'a> {
+    frame: &'a JudgedFrame,
+    instance: &'a JudgedInstance,
+}
+
 /// The largest gains, the middle and the largest losses.
-fn chosen(cases: &[Case]) -> Vec<&Case> {
+fn chosen(frames: &[JudgedFrame]) -> Vec<Case<'_>> {
     const EACH: usize = 4;
-    let mut order: Vec<&Case> = cases.iter().collect();
-    order.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
+    let cases = frames.iter().flat_map(|frame| frame.instances.iter().map(move |instance| Case { frame, instance }));
+    let mut order: Vec<Case<'_>> = cases.collect();
+    order.sort_by(|a, b| b.instance.gain().total_cmp(&a.instance.gain()));
     if order.len() <= 3 * EACH {
         return order;
     }
@@ -114,34 +127,41 @@ fn chosen(cases: &[Case]) -> Vec<&Case> {
     [&order[..EACH], &order[middle..middle + EACH], &order[order.len() - EACH..]].concat()
 }
 
-fn pictures(args: &Args, verdict: &Verdict) -> Result<String> {
-    let objects = ObjectSet::load(&args.objects)?;
+fn pictures(args: &Args, judgement: &Judgement) -> Result<String> {
+    let objects = ObjectSet::load(&args.training.objects)?;
     let mut rasteriser = SoftwareRasteriser::new();
     for object in objects.iter() {
         rasteriser.add_object(object.id, &object.mesh)?;
     }
+    let mut recordings = open_recording(&args.recordings())?;
     let mut html = String::new();
-    for case in chosen(&verdict.cases) {
-        let picture = picture(case, &rasteriser)?;
-        let data = data_uri(&encode_jpeg(&picture, JPEG_QUALITY)?);
-        let name = objects.get(case.before.pose.object_id).map(|o| o.name.clone())?;
+    for case in chosen(&judgement.frames) {
+        let frame = recordings.load(judgement.played.number(case.frame.frame) as usize)?;
+        let data = data_uri(&encode_jpeg(&picture(case.instance, frame, &rasteriser)?, JPEG_QUALITY)?);
+        let name = objects.get(case.instance.object_id).map(|o| o.name.clone())?;
         let _ = writeln!(
             html,
             "<figure><img width=\"{PANEL_PX}\" alt=\"{name}\" src=\"{data}\"><figcaption>{name}, \
              scene {}, image {}: {:+.2}</figcaption></figure>",
-            case.scene_id,
-            case.image_id,
-            case.gain()
+            case.frame.scene_id,
+            case.frame.image_id,
+            case.instance.gain()
         );
     }
     Ok(html)
 }
 
-fn picture(case: &Case, rasteriser: &SoftwareRasteriser) -> Result<RgbImage> {
-    let mut picture = case.crop.clone();
-    for (judged, colour) in [(&case.before, INITIAL_COLOUR), (&case.after, REFINED_COLOUR)] {
-        let pose = pose_from_quaternion(&judged.pose.rotation_xyzw, &judged.pose.translation_m)?;
-        draw_pose_contour(&mut picture, rasteriser, judged.pose.object_id, &pose, &case.crop_intrinsics, colour)?;
+/// The instance's crop with the contours of both poses.
+fn picture(of: &JudgedInstance, frame: LoadedFrame, rasteriser: &SoftwareRasteriser) -> Result<RgbImage> {
+    let [fx, fy, cx, cy] = frame.header.intrinsics;
+    let [x0, y0, side] = of.crop;
+    let crop = Crop { x0, y0, side, size_px: PANEL_PX };
+    let image = RgbImage::from_raw(frame.header.width, frame.header.height, frame.rgb).context("a frame is cut off")?;
+    let (mut picture, camera) = (resample(&image, &crop), crop.intrinsics(&Intrinsics { fx, fy, cx, cy }));
+    let of_after = of.after.as_ref().map(|after| (after, REFINED_COLOUR));
+    for (judged, colour) in std::iter::once((&of.before, INITIAL_COLOUR)).chain(of_after) {
+        let pose = pose_from_quaternion(&judged.pose.0, &judged.pose.1)?;
+        draw_pose_contour(&mut picture, rasteriser, of.object_id, &pose, &camera, colour)?;
     }
     Ok(picture)
 }

@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result, bail, ensure};
 use pseudoflow_evaluator::live::{Arrival, Arrivals, LiveRun, NodeCost, read_arrivals};
 use pseudoflow_imaging::ObjectSet;
-use pseudoflow_player::{PlayerConfig, open_recording, there_and_back};
+use pseudoflow_player::{PlayerConfig, open_recording};
 use pseudoflow_runtime::Graph;
 use pseudoflow_runtime::supervisor::{self, Below, NodeSummary, Options};
 use std::collections::{BTreeMap, VecDeque};
@@ -56,8 +56,7 @@ pub(crate) fn player(graph: &Graph) -> Result<PlayerConfig> {
 fn frames(player: &PlayerConfig) -> Result<Vec<(u32, u32)>> {
     let mut source = open_recording(player)?;
     let count = source.count() as u64;
-    let most = player.max_frames.unwrap_or(u64::MAX);
-    let played = (0..most).map_while(|index| there_and_back(index, count, player.passes));
+    let played = (0..).map_while(|index| player.number_at(index, count));
     let ids = played.map(|n| source.facts(n as usize).map(|facts| (facts.scene_id, facts.image_id)));
     let ids = ids.collect::<Result<Vec<_>, _>>()?;
     ensure!(!ids.is_empty(), "{}: no frame in it", player.source.display());

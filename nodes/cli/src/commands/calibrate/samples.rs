@@ -1,7 +1,7 @@
 //! Refinements of synthetic images with what became of them.
 
+use super::pipeline::{Frame, Pipeline};
 use super::starts::draw_start;
-use crate::pipeline::{Frame, Pipeline};
 use anyhow::{Context as _, Result};
 use nalgebra::Vector6;
 use pseudoflow_evaluator::EvalModel;

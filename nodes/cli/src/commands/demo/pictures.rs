@@ -6,7 +6,7 @@ use pseudoflow_evaluator::live::{Arrival, ArrivedPose};
 use pseudoflow_geometry::{Intrinsics, pose_from_quaternion};
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View};
 use pseudoflow_imaging::{ObjectSet, RgbImage, draw_contour, encode_gif, encode_jpeg};
-use pseudoflow_player::{FrameSource, PlayerConfig, open_recording, there_and_back};
+use pseudoflow_player::{FrameSource, PlayerConfig, open_recording};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -33,7 +33,7 @@ pub(super) fn draw(player: &PlayerConfig, arrivals: &[Arrival], objects: &Object
     let folder = out.join("overlays");
     std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
     let count = source.count() as u64;
-    let frames = (0..).step_by(EVERY as usize).map_while(|i| Some((i, there_and_back(i, count, player.passes)?)));
+    let frames = (0..).step_by(EVERY as usize).map_while(|i| Some((i, player.number_at(i, count)?)));
     let mut small = Vec::new();
     for (index, number) in frames {
         let picture = painter.paint(source.as_mut(), number as usize, by_frame.get(&index).copied())?;

@@ -8,12 +8,12 @@ use std::process::ExitCode;
 #[derive(clap::Args)]
 pub(crate) struct CompareArgs {
     /// The report to begin from.
-    pub(super) before: PathBuf,
+    before: PathBuf,
     /// The report to compare with it.
-    pub(super) after: PathBuf,
+    after: PathBuf,
     /// The HTML page to write.
     #[arg(long, default_value = "compare.html")]
-    pub(super) out: PathBuf,
+    out: PathBuf,
 }
 
 pub(crate) fn compare(args: &CompareArgs) -> Result<ExitCode> {

@@ -2,6 +2,7 @@
 
 use super::{Args, stages_named};
 use anyhow::{Context as _, Result, bail, ensure};
+use pseudoflow_cli::in_process::take_out;
 use pseudoflow_evaluator::EvalDataset;
 use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_initializer::CompareConfig;
@@ -24,10 +25,6 @@ impl Files {
         Self(csv.with_extension("eval"))
     }
 
-    pub(super) fn folder(&self) -> &Path {
-        &self.0
-    }
-
     /// Covariances and the gate's decisions of a pass, counted from 1.
     pub(super) fn details(&self, pass: u32) -> PathBuf {
         self.0.join(format!("details_{pass}.jsonl"))
@@ -47,30 +44,26 @@ impl Files {
     }
 
     pub(super) fn write_targets(&self, targets: &[Target]) -> Result<()> {
-        self.write(&self.targets(), &serde_json::to_string(targets)?)
+        let path = self.targets();
+        std::fs::write(&path, serde_json::to_string(targets)?)
+            .with_context(|| format!("{}: cannot be written", path.display()))
     }
 
-    /// `pseudoflow run --in-process` repeats the run.
-    pub(super) fn write_graph(&self, graph: &Graph) -> Result<()> {
-        let stated = graph.resolved().map_err(GraphError::Problems)?;
-        self.write(&self.0.join("graph.yaml"), &stated.to_yaml()?)
-    }
-
-    fn write(&self, path: &Path, text: &str) -> Result<()> {
-        std::fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
+    pub(super) fn graph(&self) -> PathBuf {
+        self.0.join("graph.yaml")
     }
 }
 
 pub(super) fn graph(args: &Args, dataset: &EvalDataset, files: &Files) -> Result<Graph> {
     let mut graph = match args.refines()? {
         true => refining(args, dataset, files)?,
-        false => finding(args, dataset, args.csv())?,
+        false => finding(args, dataset, &args.csv)?,
     };
     set(
         &mut graph,
         &[
             ("seed", json!(args.seed)),
-            ("source", json!(args.dataset().join(&args.split))),
+            ("source", json!(args.dataset.join(&args.split))),
             ("player.targets", json!(files.targets())),
         ],
     )?;
@@ -111,7 +104,7 @@ fn refining(args: &Args, dataset: &EvalDataset, files: &Files) -> Result<Graph> 
         &[
             ("objects", json!(args.objects(dataset))),
             ("stages", json!(stages)),
-            ("csv", json!(args.csv())),
+            ("csv", json!(args.csv)),
             ("details", json!(files.details(args.passes))),
             ("player.initial_poses", json!({"file": poses_file})),
             ("pnp.gate", json!((!args.no_gate).then_some(gate))),
@@ -123,7 +116,7 @@ fn refining(args: &Args, dataset: &EvalDataset, files: &Files) -> Result<Graph> 
             &mut graph,
             &[
                 ("weights", json!(weights)),
-                ("network", json!(super::super::export::network(&args.network)?)),
+                ("network", json!(pseudoflow_cli::training::network(&args.network)?)),
                 ("device", json!(args.device)),
                 ("flow.iterations", json!(args.iterations)),
                 ("flow.engine", json!(engine(args)?)),
@@ -141,9 +134,8 @@ fn refining(args: &Args, dataset: &EvalDataset, files: &Files) -> Result<Graph> 
 /// Poses from contours alone.
 fn leave_flow_out(graph: &mut Graph, stages: Stages) -> Result<()> {
     ensure!(stages == Stages::Region, "`--stages` but for `region` needs `--weights`");
-    graph.nodes.retain(|name, _| !["renderer", "flow"].contains(&name.as_str()));
+    take_out(graph, &["renderer", "flow"]);
     let pnp = node(graph, "pnp")?;
-    pnp.inputs.retain(|port, _| port == "frame");
     pnp.inputs.insert("initial_poses".into(), port("player", "initial_poses"));
     Ok(())
 }

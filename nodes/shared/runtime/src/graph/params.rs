@@ -1,7 +1,8 @@
 //! Values that a graph states once and uses in several nodes: `params: {size_px: 256}`, then `size_px: $size_px`.
 
-use super::{Graph, Problem};
+use super::{Graph, GraphError, Problem};
 use indexmap::IndexMap;
+use serde::Serialize;
 use serde_yaml::Value;
 use std::collections::BTreeSet;
 
@@ -28,6 +29,23 @@ impl Graph {
             spec.config = filling.fill(&spec.config, problem);
         }
         if filling.problems.is_empty() { Ok(graph) } else { Err(filling.problems) }
+    }
+
+    /// Gives parameters the values of a struct's fields.
+    ///
+    /// # Errors
+    /// A field that is no parameter of the graph, or no value that YAML can hold.
+    pub fn set_params(&mut self, values: &impl Serialize) -> Result<(), GraphError> {
+        let failed =
+            |key: &str, cause: String| GraphError::Override { key: key.to_owned(), value: String::new(), cause };
+        let values = serde_yaml::to_value(values).map_err(|error| failed("params", error.to_string()))?;
+        for (name, value) in values.as_mapping().into_iter().flatten() {
+            let name = name.as_str().unwrap_or_default();
+            let known = self.params.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+            let place = self.params.get_mut(name);
+            *place.ok_or_else(|| failed(name, format!("no such parameter: those there are: {known}")))? = value.clone();
+        }
+        Ok(())
     }
 
     /// Parameters that nothing uses: a misspelt name would have no effect. (Asked of a graph as its file states it: an
@@ -217,5 +235,22 @@ mod tests {
         assert_eq!(graph.resolved().unwrap().nodes["a"].config["side"], Value::from(3));
         let error = graph.set("sise", "2").unwrap_err().to_string();
         assert!(error.contains("the parameter size"), "{error}");
+    }
+
+    #[test]
+    fn a_structs_fields_are_parameters() {
+        #[derive(serde::Serialize)]
+        struct Sizes {
+            size: Vec<u32>,
+        }
+        let text = "mode: replay\nparams: {size: 1}\nnodes: {a: {kind: player, config: {side: $size}}}\n";
+        let mut graph = Graph::parse(text, Path::new("g.yaml")).unwrap();
+        graph.set_params(&Sizes { size: vec![3, 4] }).unwrap();
+        assert_eq!(
+            graph.resolved().unwrap().nodes["a"].config["side"],
+            serde_yaml::from_str::<Value>("[3, 4]").unwrap()
+        );
+        let error = graph.set_params(&std::collections::BTreeMap::from([("sise", 2)])).unwrap_err().to_string();
+        assert!(error.contains("sise") && error.contains("those there are: size"), "{error}");
     }
 }
