@@ -245,6 +245,38 @@ class DiagnosticArray(IdlStruct, typename=ros("diagnostic_msgs", "DiagnosticArra
     status: sequence[DiagnosticStatus]
 
 
+@dataclass
+class Log(IdlStruct, typename=ros("rcl_interfaces", "Log")):
+    stamp: Time
+    level: uint8
+    name: str
+    msg: str
+    file: str
+    function: str
+    line: uint32
+
+
+@dataclass
+class Gid(IdlStruct, typename=ros("rmw_dds_common", "Gid")):
+    """Since Iron; Humble's has 24 bytes."""
+
+    data: array[uint8, 16]
+
+
+@dataclass
+class NodeEntitiesInfo(IdlStruct, typename=ros("rmw_dds_common", "NodeEntitiesInfo")):
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: sequence[Gid]
+    writer_gid_seq: sequence[Gid]
+
+
+@dataclass
+class ParticipantEntitiesInfo(IdlStruct, typename=ros("rmw_dds_common", "ParticipantEntitiesInfo")):
+    gid: Gid
+    node_entities_info_seq: sequence[NodeEntitiesInfo]
+
+
 @functools.cache
 def garbled(kind):
     """A type of the same name that says nothing of what that type says: a message that cannot be read."""
