@@ -33,7 +33,8 @@ impl Late {
             self.newest = self.newest.max(Some(key.index));
             let poses = ObjectPoses::view(bytes)?.poses;
             if !poses.is_empty() {
-                self.waiting.insert(key.index, poses.to_vec());
+                // Live, objects of one frame may be found one after the other.
+                self.waiting.entry(key.index).or_default().extend_from_slice(poses);
             }
         }
         Ok(())
