@@ -39,9 +39,9 @@ class Latecomer:
         self.nodes, self.said = set(), set()
 
     def hear(self):
-        for sample in self.graph.take(N=100):
+        for sample in ros.taken(self.graph):
             self.nodes.update(f"{node.node_namespace}/{node.node_name}" for node in sample.node_entities_info_seq)
-        for sample in self.log.take(N=1000):
+        for sample in ros.taken(self.log):
             assert sample.level == 30 and abs(sample.stamp.sec - time.time()) < 600, sample
             self.said.add((sample.name, sample.msg))
 

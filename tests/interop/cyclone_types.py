@@ -5,6 +5,12 @@ from dataclasses import dataclass
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint16, uint32
+from cyclonedds.internal import InvalidSample
+
+
+def taken(reader, most=1000):
+    """Messages that have come, without what says no more than that a publisher has gone."""
+    return [sample for sample in reader.take(N=most) if not isinstance(sample, InvalidSample)]
 
 
 def ros(package, name):
