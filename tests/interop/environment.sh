@@ -16,7 +16,8 @@ export CYCLONEDDS_URI='<CycloneDDS><Domain>
 </Domain></CycloneDDS>'
 
 if [ -z "${SKIP_BUILD:-}" ]; then
-    cargo build --release --manifest-path "$root/Cargo.toml" -p pseudoflow-bridge --examples
+    # The whole workspace, whose features the scripts' own builds have too: `-p` would build what is below it once more.
+    cargo build --release --manifest-path "$root/Cargo.toml" --workspace --bins --example publish_poses --example receive_images
 fi
 publish_poses=$target/release/examples/publish_poses
 receive_images=$target/release/examples/receive_images

@@ -17,10 +17,9 @@ trap 'kill $(jobs -p) 2>/dev/null || true; wait; rm -rf "$out"' EXIT
 ip link set lo up
 unshare -n sleep 600 &
 far=$!
-until ip link add v0 type veth peer name v1 netns "$far" 2>/dev/null && [ "$(readlink /proc/$far/ns/net)" != "$(readlink /proc/self/ns/net)" ]; do
-    ip link del v0 2>/dev/null || true
-    sleep 0.1
-done
+# Its namespace first: a link that is made before `unshare` has made that would end in this one.
+until [ "$(readlink /proc/$far/ns/net)" != "$(readlink /proc/self/ns/net)" ]; do sleep 0.1; done
+ip link add v0 type veth peer name v1 netns "$far"
 ip addr add 10.9.0.1/24 dev v0
 ip link set v0 up
 nsenter -t "$far" -n sh -c 'ip link set lo up; ip addr add 10.9.0.2/24 dev v1; ip link set v1 up'

@@ -8,8 +8,7 @@ python=${PYTHON:-${PEERS:+$PEERS/bin/python}}
 python=${python:-python3}
 target=${CARGO_TARGET_DIR:-$root/target}
 if [ -z "${SKIP_BUILD:-}" ]; then
-    cargo build --release --manifest-path "$root/Cargo.toml" -p pseudoflow-recorder --examples
-    cargo build --release --manifest-path "$root/Cargo.toml" -p pseudoflow
+    cargo build --release --manifest-path "$root/Cargo.toml" --workspace --bins --example write_recording
 fi
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -93,3 +93,28 @@ fn the_package_is_the_binary_and_names_what_it_speaks() {
         assert!(package.contains(&depends), "package.xml lacks {depends}");
     }
 }
+
+/// Of `cargo metadata`: the table `[package.metadata.deb]` of the binary's package.
+fn deb() -> serde_json::Value {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let mut command = std::process::Command::new(cargo);
+    command.args(["metadata", "--format-version", "1", "--no-deps", "--offline"]).current_dir(root());
+    let metadata: serde_json::Value = serde_json::from_slice(&command.output().unwrap().stdout).unwrap();
+    let packages = metadata["packages"].as_array().unwrap();
+    packages.iter().find(|package| package["name"] == "pseudoflow").unwrap()["metadata"]["deb"].clone()
+}
+
+#[test]
+fn what_the_debian_package_holds_exists() {
+    let deb = deb();
+    let sources: Vec<&str> = deb["assets"].as_array().unwrap().iter().map(|asset| asset[0].as_str().unwrap()).collect();
+    assert!(sources.len() > 5, "{sources:?}");
+    for source in sources.into_iter().filter(|source| !source.starts_with("target/")) {
+        // The last part may be a pattern: its folder holds files that begin as it does.
+        let (folder, pattern) = source.trim_end_matches("/**/*").rsplit_once('/').unwrap();
+        let begin = pattern.trim_end_matches('*');
+        let folder = root().join("nodes/cli").join(folder);
+        let mut entries = std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{source}: {error}")).flatten();
+        assert!(entries.any(|entry| entry.file_name().to_string_lossy().starts_with(begin)), "{source}: no file");
+    }
+}

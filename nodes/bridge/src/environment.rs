@@ -111,18 +111,17 @@ impl DdsEnvironment {
         })
     }
 
-    /// Whether the nodes of this shell can hear DDS.
+    /// Whether the nodes of this shell can hear DDS; a line for the log where they cannot, but that is `allowed`.
     ///
     /// # Errors
     /// When they speak Zenoh, unless that is `allowed`.
-    pub fn check_middleware(&self, allowed: bool) -> Result<(), BridgeError> {
+    pub fn check_middleware(&self, allowed: bool) -> Result<Option<String>, BridgeError> {
         match &self.middleware {
             Some(name) if name.contains("zenoh") && !allowed => Err(BridgeError::Middleware(name.clone())),
             Some(name) if name.contains("zenoh") => {
-                log::warn!("RMW_IMPLEMENTATION={name}: its nodes do not hear DDS, which is spoken here");
-                Ok(())
+                Ok(Some(format!("RMW_IMPLEMENTATION={name}: its nodes do not hear DDS, which is spoken here")))
             }
-            _ => Ok(()),
+            _ => Ok(None),
         }
     }
 }
@@ -196,8 +195,9 @@ mod tests {
         let zenoh = read(&[("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")]).unwrap();
         let text = zenoh.check_middleware(false).unwrap_err().to_string();
         assert!(text.contains("rmw_zenoh_cpp") && text.contains("--allow-rmw-mismatch"), "{text}");
-        zenoh.check_middleware(true).unwrap();
-        read(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap().check_middleware(false).unwrap();
+        assert!(zenoh.check_middleware(true).unwrap().unwrap().contains("rmw_zenoh_cpp"));
+        let cyclone = read(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap();
+        assert_eq!(cyclone.check_middleware(false).unwrap(), None);
         let lines = DdsEnvironment::not_honoured(|name| (name != "CYCLONEDDS_URI").then(|| "x".to_owned()));
         assert_eq!(lines.len(), 4);
         assert!(lines[0].starts_with("ROS_STATIC_PEERS is not honoured"));

@@ -94,6 +94,13 @@ pub fn topics() -> Vec<Topic> {
             LATCHED,
             "URDF: one link a frame, the mesh as its visual; from the first frame on",
         ),
+        Topic {
+            name: "/rosout",
+            message: "rcl_interfaces/Log".to_owned(),
+            direction: Direction::Out,
+            qos: "reliable, transient local, keep last 1000, lifespan 10 s",
+            content: "what any node of the graph warns of; logger `NAMESPACE.NODE_NAME`, `.NODE` of the graph behind it (`left.pseudoflow.flow`)",
+        },
         heard::<Image>("camera.image", "the camera's images, where they are published raw"),
         heard::<CompressedImage>("camera.image + /compressed", "else its JPEG or PNG files"),
         heard::<CameraInfo>("camera.camera_info", "its calibration; without the key, `camera_info` beside the images"),

@@ -25,6 +25,7 @@ mod node;
 mod participant;
 mod publish;
 mod qos;
+mod rosout;
 mod sync;
 
 pub use camera::{CameraConfig, InfoMode, Transport};

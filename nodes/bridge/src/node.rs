@@ -57,7 +57,7 @@ impl Node for Bridge {
     fn create(config: BridgeConfig, context: &Context) -> Result<Self, NodeError> {
         let catalogue = config.checked()?;
         let environment = DdsEnvironment::of_process()?;
-        environment.check_middleware(config.allow_rmw_mismatch)?;
+        let unheard = environment.check_middleware(config.allow_rmw_mismatch)?;
         let names = Names::new(&config);
         let mut participant = Participant::open(environment, &config.namespace, &config.node_name)?;
         let publisher = PosePublisher::new(&mut participant, &names, &config, catalogue)?;
@@ -67,7 +67,7 @@ impl Node for Bridge {
         let variable = |name: &str| std::env::var_os(name).map(|value| value.to_string_lossy().into_owned());
         DdsEnvironment::not_honoured(variable).into_iter().for_each(|line| ledger.say(line));
         let other = DdsEnvironment::other_release(variable("ROS_DISTRO").as_deref());
-        other.into_iter().for_each(|line| ledger.say(line));
+        other.into_iter().chain(unheard).for_each(|line| ledger.say(line));
         let others = Warnings::of_run(&context.out_dir, context.restarts > 0);
         let name = context.name.clone();
         Ok(Self { publisher, camera, names, ledger, reported, participant, others, name })

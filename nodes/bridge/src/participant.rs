@@ -1,15 +1,14 @@
 use crate::camera::Offer;
 use crate::interfaces;
 use crate::names::Names;
+use crate::rosout::Rosout;
 use crate::{BridgeError, DdsEnvironment, DiscoveryRange};
 use pseudoflow_msgs::ros::RosMessage;
 use pseudoflow_runtime::supervisor::Severity;
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::dds::rustdds::discovery::PublicationBuiltinTopicData;
-use ros2_client::log::LogLevel;
 use ros2_client::qos::Reliability;
 use ros2_client::ros2::policy;
-use ros2_client::rosout::RosoutRaw;
 use ros2_client::{Context, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile, Subscription};
 use std::collections::BTreeMap;
 
@@ -19,6 +18,7 @@ use std::collections::BTreeMap;
 pub struct Participant {
     node: Node,
     context: Context,
+    rosout: Rosout,
     /// What our subscriptions request, by topic.
     requested: BTreeMap<String, Reliability>,
 }
@@ -42,13 +42,14 @@ impl Participant {
             keep_to_loopback();
         }
         let context = Context::from_domain_participant(participant).map_err(|error| create("the context", &error))?;
-        let options = NodeOptions::new().enable_rosout(true).start_parameter_services(false);
-        let node = context.new_node(name, options).map_err(|error| create("the node", &error))?;
+        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
+        let mut node = context.new_node(name, options).map_err(|error| create("the node", &error))?;
+        let rosout = Rosout::open(&mut node).map_err(|error| create("a publisher of /rosout", &error))?;
         if environment.range.is_this_host() {
             keep_to_loopback();
         }
         log::info!("DDS domain {}, discovery range {:?}, node {full_name}", environment.domain_id, environment.range);
-        Ok(Self { node, context, requested: BTreeMap::new() })
+        Ok(Self { node, context, rosout, requested: BTreeMap::new() })
     }
 
     /// Publishes a topic. A name without leading `/` lies in the root namespace too.
@@ -118,11 +119,7 @@ impl Participant {
 
     /// Says a warning on /rosout; the logger is this node, or below it the node of the graph that warns.
     pub(crate) fn say(&self, severity: Severity, of: Option<&str>, line: &str) {
-        let now = ros2_client::builtin_interfaces::Time::now();
-        let level = if severity == Severity::Error { LogLevel::Error } else { LogLevel::Warn };
-        let own = self.node.base_name();
-        let logger = of.map_or_else(|| own.to_owned(), |node| format!("{own}.{node}"));
-        self.node.rosout_raw(now, level, &logger, line, file!(), "", line!());
+        self.rosout.say(severity, of, line);
     }
 
     /// How many subscribers of an absolute topic name have been found.

@@ -6,6 +6,7 @@
 //! at hand, the object is also rendered from all sides, and the view whose features resemble the image most takes part
 //! ([`Comparer`]): that needs no training, while a network must have seen very many images before it tells how a box is turned.
 
+mod answer;
 mod compare;
 pub mod detect;
 mod error;

@@ -6,18 +6,21 @@
 //! | `frame` | in, joined | the camera |
 //! | `rectangles` | in, joined | recordings: what a detector saw in this frame |
 //! | `detected` | in, late | live: an image of the past with what a detector saw in it |
+//! | `wanted` | in, joined | live: objects that are missing; without, all rectangles of an answer are looked into at once |
 //! | `initial_poses` | out | of `rectangles`: poses for the renderer, the best first, further hypotheses behind |
-//! | `found` | out | the best pose of each object, keyed by the frame it was seen in, for the tracker |
+//! | `found` | out | the same, keyed by the frame they were seen in, for the tracker |
 
+use crate::answer::Answer;
 use crate::compare::{CompareConfig, Comparer, Match, Photograph};
 use crate::detect::Rectangle as Place;
+use crate::patience::{Patience, SearchConfig};
 use nalgebra::{Point2, Vector2};
 use pseudoflow_geometry::{Intrinsics, quaternion_xyzw};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{
     CameraFrame, CameraFrameHeader, DetectedFrame, FrameKey, Message, ObjectPose, ObjectPoses, PoseSource, PoseStatus,
-    Rectangle, Rectangles,
+    Rectangle, Rectangles, Wanted,
 };
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
@@ -27,6 +30,7 @@ use std::path::PathBuf;
 const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
 const RECTANGLES: Port<Rectangles<'static>> = Port::optional("rectangles");
 const DETECTED: Port<DetectedFrame<'static>> = Port::late("detected");
+const WANTED: Port<Wanted<'static>> = Port::optional("wanted");
 const INITIAL_POSES: Port<ObjectPoses<'static>> = Port::optional("initial_poses");
 const FOUND: Port<ObjectPoses<'static>> = Port::optional("found");
 
@@ -41,6 +45,9 @@ pub struct RectangleFinderConfig {
     /// Poses of one object in a frame, the surest rectangles first.
     #[serde(default = "default_max_instances")]
     pub max_instances: usize,
+    /// How often wanted objects (`wanted`) are searched for.
+    #[serde(default)]
+    pub search: SearchConfig,
     /// Engine, provider, threads.
     #[serde(default)]
     pub engine: EngineConfig,
@@ -55,6 +62,9 @@ pub struct RectangleFinder {
     objects: ObjectSet,
     comparer: Comparer,
     max_instances: usize,
+    patience: Patience,
+    /// The newest answer, until all that is wanted has been looked for.
+    answer: Option<Answer>,
 }
 
 impl RectangleFinder {
@@ -92,12 +102,25 @@ impl RectangleFinder {
 
     /// Of images of the past the newest alone: what was seen before it is no longer of use.
     fn find_late(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs) -> Result<(), NodeError> {
-        let Some((key, bytes)) = inputs.late(DETECTED.name()).into_iter().max_by_key(|(key, _)| key.index) else {
-            return Ok(());
+        if let Some((key, bytes)) = inputs.late(DETECTED.name()).into_iter().max_by_key(|(key, _)| key.index) {
+            self.answer = Some(Answer::new(key, &DetectedFrame::view(bytes)?));
+        }
+        let Some(mut answer) = self.answer.take() else { return Ok(()) };
+        let wanted = match inputs.is_connected(WANTED.name()) {
+            true => Some(WANTED.read(inputs)?.object_ids),
+            false => None,
         };
-        let seen = DetectedFrame::view(bytes)?;
-        let poses = self.find(seen.header, seen.rgb, seen.rectangles)?;
-        send_found(outputs, key, seen.header, &poses)
+        let due = answer.take_due(wanted, &mut self.patience);
+        let poses = self.find(&answer.header, &answer.rgb, &due)?;
+        for rectangle in &due {
+            let found = poses.iter().any(|pose| pose.object_id == rectangle.object_id);
+            self.patience.searched(rectangle.object_id, answer.key.stamp_ns, found);
+        }
+        if !poses.is_empty() {
+            send_poses(outputs, &FOUND, answer.key, &answer.header, &poses)?;
+        }
+        self.answer = Some(answer).filter(|answer| !answer.is_done());
+        Ok(())
     }
 }
 
@@ -134,23 +157,13 @@ fn send_poses(
     })
 }
 
-fn send_found(
-    outputs: &mut dyn Outputs,
-    key: FrameKey,
-    header: &CameraFrameHeader,
-    poses: &[ObjectPose],
-) -> Result<(), NodeError> {
-    let likeliest: Vec<ObjectPose> = ObjectPose::likeliest(poses).copied().collect();
-    send_poses(outputs, &FOUND, key, header, &likeliest)
-}
-
 impl Node for RectangleFinder {
     const KIND: &'static str = "rectangle_finder";
     const ROLE: Role = Role::Transform;
     type Config = RectangleFinderConfig;
 
     fn inputs() -> Vec<PortSpec> {
-        vec![FRAME.spec(), RECTANGLES.spec(), DETECTED.spec()]
+        vec![FRAME.spec(), RECTANGLES.spec(), DETECTED.spec(), WANTED.spec()]
     }
 
     fn outputs() -> Vec<PortSpec> {
@@ -159,6 +172,7 @@ impl Node for RectangleFinder {
 
     fn check(config: &RectangleFinderConfig) -> Result<(), NodeError> {
         config.compare.check()?;
+        config.search.check()?;
         if config.max_instances == 0 {
             return Err("`max_instances: 0`: give at least 1".into());
         }
@@ -172,7 +186,8 @@ impl Node for RectangleFinder {
     fn create(config: RectangleFinderConfig, _: &Context) -> Result<Self, NodeError> {
         let objects = ObjectSet::load(&config.objects)?;
         let comparer = Comparer::open(&config.compare, &objects, &config.engine)?;
-        Ok(Self { objects, comparer, max_instances: config.max_instances })
+        let patience = Patience::new(config.search);
+        Ok(Self { objects, comparer, max_instances: config.max_instances, patience, answer: None })
     }
 
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
@@ -184,6 +199,6 @@ impl Node for RectangleFinder {
         let seen = RECTANGLES.read(inputs)?;
         let poses = self.find(frame.header, frame.rgb, seen.rectangles)?;
         send_poses(outputs, &INITIAL_POSES, key, frame.header, &poses)?;
-        send_found(outputs, key, frame.header, &poses)
+        send_poses(outputs, &FOUND, key, frame.header, &poses)
     }
 }

@@ -37,7 +37,8 @@ impl Late {
             self.newest = self.newest.max(Some(key.index));
             let poses = ObjectPoses::view(bytes)?.poses;
             if !poses.is_empty() {
-                self.waiting.insert(key.index, poses.to_vec());
+                // Live, objects of one frame may be found one after the other.
+                self.waiting.entry(key.index).or_default().extend_from_slice(poses);
             }
         }
         Ok(())
@@ -47,5 +48,43 @@ impl Late {
     pub(crate) fn take_until(&mut self, frame: u64) -> BTreeMap<u64, Vec<ObjectPose>> {
         let later = self.waiting.split_off(&(frame + 1));
         std::mem::replace(&mut self.waiting, later)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pseudoflow_msgs::FrameKey;
+    use pseudoflow_runtime::{InMemory, Outputs};
+
+    fn found(frame: u64, objects: &[u32]) -> InMemory {
+        let key = FrameKey { index: frame, stamp_ns: 0 };
+        let pose = |id: &u32| ObjectPose {
+            object_id: *id,
+            instance: 0,
+            status: 0,
+            source: 0,
+            score: 0.5,
+            rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+            translation_m: [0.0, 0.0, 1.0],
+            covariance: [0.0; 36],
+        };
+        let poses: Vec<ObjectPose> = objects.iter().map(pose).collect();
+        let mut inputs = InMemory::new(key);
+        let fill = &mut |bytes: &mut [u8]| ObjectPoses::write(bytes, 0, 0, &poses);
+        inputs.send("found", key, ObjectPoses::byte_len(poses.len()), fill).unwrap();
+        inputs
+    }
+
+    #[test]
+    fn objects_of_one_frame_may_be_found_one_after_the_other() {
+        let mut late = Late::new(&Port::late("found"));
+        for (frame, objects) in [(3, vec![1]), (4, vec![]), (3, vec![2, 2]), (7, vec![5])] {
+            late.absorb(&found(frame, &objects), false).unwrap();
+        }
+        let ids = |poses: &[ObjectPose]| poses.iter().map(|pose| pose.object_id).collect::<Vec<_>>();
+        let taken: Vec<_> = late.take_until(6).iter().map(|(frame, poses)| (*frame, ids(poses))).collect();
+        assert_eq!(taken, [(3, vec![1, 2, 2])]);
+        assert_eq!(late.take_until(7).len(), 1);
     }
 }

@@ -38,7 +38,7 @@ pub enum InfoMode {
 pub struct CameraConfig {
     /// Topic of the images, such as `/camera/image_raw`.
     pub image: String,
-    /// How they come.
+    /// How they come: `auto` (raw, else the files on IMAGE/compressed), `raw`, or `compressed` (the topic itself holds JPEG or PNG files).
     #[serde(default)]
     pub transport: Transport,
     /// Topic of their calibration; without, `camera_info` beside the images.

@@ -17,7 +17,7 @@ pub(crate) fn fill_in(graph: &mut Graph) {
         let Value::Mapping(config) = &mut node.config else { continue };
         let names_objects = match node.kind.as_str() {
             "bridge" => true,
-            "recorder" => !config.contains_key("overlay"),
+            "recorder" => config.get("overlay").is_none_or(Value::is_null),
             _ => false,
         };
         if let (true, 1, Some(folder)) = (names_objects, folders.len(), folders.first()) {
@@ -57,12 +57,13 @@ mod tests {
     fn the_bridge_speaks_of_the_objects_of_the_others() {
         let text = "mode: live\nnodes:\n  renderer: {kind: renderer, config: {objects: a}}\n  \
                     flow: {kind: flow, config: {model: w, compare: {model: v}}}\n  bridge: {kind: bridge}\n  \
-                    recorder: {kind: recorder, config: {overlay: {objects: b}}}\n";
+                    recorder: {kind: recorder, config: {overlay: {objects: b}}}\n  plain: {kind: recorder, config: {overlay: null}}\n";
         let graph = filled(text);
         let bridge = &graph.nodes["bridge"].config;
         assert_eq!(bridge["objects"].as_str(), Some("a"));
         assert_eq!(bridge["weights"].as_sequence().unwrap().len(), 2);
         assert!(graph.nodes["recorder"].config.get("objects").is_none());
+        assert_eq!(graph.nodes["plain"].config["objects"].as_str(), Some("a"));
     }
 
     #[test]

@@ -46,8 +46,6 @@ ros2 launch pseudoflow track.launch.yaml camera:=/camera/image_raw namespace:=le
 ROS_AUTOMATIC_DISCOVERY_RANGE are honoured; ROS_STATIC_PEERS, CYCLONEDDS_URI, FASTRTPS_DEFAULT_PROFILES_FILE and ROS_DISCOVERY_SERVER are
 not, and the log says so.
 
-What any node of the graph warns of also goes out on `/rosout`, by the logger NODE_NAME.NODE (`pseudoflow.flow`).
-
 Messages are the same for all releases of ROS 2 since Humble. The node graph (`ros_discovery_info`, from which `ros2 node list` and `ros2 topic
 info` read who publishes what) is not: Humble's gids have 24 bytes, later ones 16. The default build speaks the latter; for Humble build with
 `--no-default-features --features humble`.
