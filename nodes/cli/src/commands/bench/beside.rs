@@ -132,7 +132,8 @@ mod tests {
         assert_eq!(graph.nodes["initializer"].inputs["frame"].to_string(), "player/frame");
         assert_eq!(graph.nodes["stopwatch"].inputs["poses"].to_string(), "tracker/poses");
         assert_eq!(graph.nodes["player"].config["hz"], Value::from(15.0));
-        assert_eq!(graph.feedback.len(), 2);
+        let feedback: Vec<String> = graph.feedback.iter().map(ToString::to_string).collect();
+        assert_eq!(feedback, ["initializer/initial_poses", "initializer/status", "pnp/poses"]);
     }
 
     #[test]
