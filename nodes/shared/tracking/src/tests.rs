@@ -169,13 +169,18 @@ fn where_looks_are_answered_only_what_one_confirms_becomes_a_track() {
 }
 
 #[test]
-fn looks_that_speak_against_a_track_end_it() {
-    let mut tracker = started(12);
-    let seen = step(&mut tracker, 12, &picture(12, false), &[look(11, false, 0.1)]);
-    assert_eq!(seen.estimates[0].phase, Phase::Tracking, "one may be wrong");
-    let seen = step(&mut tracker, 13, &picture(13, false), &[look(12, false, 0.1)]);
-    assert!(seen.estimates.is_empty(), "nothing is known of it: {:?}", seen.estimates);
-    assert_eq!(tracker.missing(), [4]);
+fn looks_that_speak_against_a_track_end_it_unless_it_is_sure_itself() {
+    let after_two = |confidence: f64| {
+        let mut tracker = started(12);
+        for i in 12..14 {
+            assert!(tracker.missing().is_empty(), "one may be wrong");
+            tracker.tracks[0].confidence = confidence;
+            step(&mut tracker, i, &picture(i, false), &[look(i - 1, false, 0.1)]);
+        }
+        tracker.missing()
+    };
+    assert_eq!(after_two(0.6), [4], "nothing is known of it any more");
+    assert!(after_two(0.95).is_empty());
 }
 
 #[test]

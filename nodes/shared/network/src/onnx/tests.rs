@@ -156,9 +156,10 @@ fn features_of_renderings_know_their_geometry_and_are_else_those_of_photographs(
     let [photograph, geometry] = images(1, 64, 5);
     let rendering: Vec<f32> = photograph.iter().chain(&geometry[..2 * 64 * 64]).copied().collect();
     let photographed = features(&network, &weights, Pictures::Photographs, &photograph);
-    // What geometry adds begins at nothing.
-    assert_eq!(features(&network, &weights, Pictures::Renderings, &rendering), photographed);
+    let away = |features: Vec<f32>| features.iter().zip(&photographed).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    // What geometry adds begins at nothing; what is left is the order of the sums.
+    assert!(away(features(&network, &weights, Pictures::Renderings, &rendering)) < 1e-3);
     let trained = weights.tensors_mut().find(|t| t.name == "stem.geometry.weight").unwrap();
     trained.data.iter_mut().for_each(|v| *v = 0.3);
-    assert_ne!(features(&network, &weights, Pictures::Renderings, &rendering), photographed);
+    assert!(away(features(&network, &weights, Pictures::Renderings, &rendering)) > 0.1);
 }
