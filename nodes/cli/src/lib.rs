@@ -1,6 +1,7 @@
 //! What the two programs share, `pseudoflow` and `pseudoflow-with-truth`: the options and the graph of a training, and how a command
 //! runs a graph that it wrote.
 
+pub mod graphs;
 pub mod in_process;
 pub mod progress;
 pub mod training;

@@ -111,16 +111,25 @@ impl RectangleFinder {
             false => None,
         };
         let due = answer.take_due(wanted, &mut self.patience);
-        let poses = self.find(&answer.header, &answer.rgb, &due)?;
-        for rectangle in &due {
-            let found = poses.iter().any(|pose| pose.object_id == rectangle.object_id);
-            self.patience.searched(rectangle.object_id, answer.key.stamp_ns, found);
-        }
-        if !poses.is_empty() {
-            send_poses(outputs, &FOUND, answer.key, &answer.header, &poses)?;
+        // Most frames pass while it is nobody's turn: they must not copy the answer's image.
+        if !due.is_empty() {
+            self.look_into(&answer, &due, outputs)?;
         }
         self.answer = Some(answer).filter(|answer| !answer.is_done());
         Ok(())
+    }
+
+    /// Sends what stands in some rectangles of an answer, and takes down that they were looked into.
+    fn look_into(&mut self, answer: &Answer, due: &[Rectangle], outputs: &mut dyn Outputs) -> Result<(), NodeError> {
+        let poses = self.find(&answer.header, &answer.rgb, due)?;
+        for rectangle in due {
+            let found = poses.iter().any(|pose| pose.object_id == rectangle.object_id);
+            self.patience.searched(rectangle.object_id, answer.key.stamp_ns, found);
+        }
+        match poses.is_empty() {
+            true => Ok(()),
+            false => send_poses(outputs, &FOUND, answer.key, &answer.header, &poses),
+        }
     }
 }
 

@@ -192,11 +192,11 @@ fn refined_pose(initial: &ObjectPose, found: &PnpResult, status: PoseStatus, sco
 }
 
 /// What the network's mean certainty counts for among hypotheses, beside inlier ratio, correlation and contrast (each at most 1).
-/// Chosen with searches of tabletop's train split: 0, 1 and 3 find 0.78, 0.80 and 0.83 of 110 objects in two looks.
+/// Chosen with searches of tabletop's train split: 0, 1, 2 and 3 find 0.78, 0.80, 0.83 and 0.83 of 110 objects in two looks
+/// (docs/measuring.md).
 const CERTAINTY_WEIGHT: f64 = 2.0;
 
-/// Of several poses of one instance (an initializer may send them) the one that flow and picture agree with best, the first of
-/// equals; ordered by object and instance.
+/// Of several poses of one instance (an initializer may send them) the one with the most merit, the first of equals; ordered by object and instance.
 fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {
     let merit = |look: &Look| if look.merit.is_nan() { f64::NEG_INFINITY } else { look.merit };
     looks.sort_by(|a, b| a.pose.identity().cmp(&b.pose.identity()).then(merit(b).total_cmp(&merit(a))));

@@ -122,17 +122,8 @@ pub(crate) fn draw(args: &GraphArgs) -> Result<ExitCode> {
 }
 
 pub(crate) fn check(args: &GraphArgs) -> Result<ExitCode> {
-    let read = args.read()?;
-    match graph::check(&read, &crate::registry()) {
-        Ok(()) => {
-            println!("{}: {} nodes, no problems", args.graph.display(), read.nodes.len());
-            Ok(ExitCode::SUCCESS)
-        }
-        Err(problems) => {
-            problems.iter().for_each(|problem| eprintln!("{problem}"));
-            Ok(ExitCode::FAILURE)
-        }
-    }
+    let problems = pseudoflow_cli::graphs::check(&args.read()?, &args.graph, &crate::registry());
+    Ok(if problems == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 pub(crate) fn schema() -> Result<ExitCode> {

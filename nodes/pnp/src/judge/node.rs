@@ -78,9 +78,9 @@ impl JudgeNode {
     fn judge(&mut self, inputs: &dyn Inputs, seed: u64) -> Result<JudgedFrame, NodeError> {
         let views = VIEWS.read(inputs)?;
         let before = self.by_flow(&views, inputs, &FLOW, seed)?;
-        let mut after = match inputs.bytes(FLOW_AFTER.name()) {
-            Some(_) => self.by_flow(&views, inputs, &FLOW_AFTER, seed)?.into_iter(),
-            None => Vec::new().into_iter(),
+        let mut after = match FLOW_AFTER.has_come(inputs) {
+            true => self.by_flow(&views, inputs, &FLOW_AFTER, seed)?.into_iter(),
+            false => Vec::new().into_iter(),
         };
         let firsts = views.views.iter().step_by(views.header.views_per_instance.max(1) as usize);
         let instances = firsts.zip(before).map(|(view, before)| JudgedInstance {

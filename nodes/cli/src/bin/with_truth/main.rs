@@ -67,11 +67,8 @@ fn main() -> Result<()> {
 }
 
 fn check(path: &Path) -> Result<()> {
-    let graph = Graph::read(path)?;
-    if let Err(problems) = graph::check(&graph, &registry()) {
-        problems.iter().for_each(|problem| eprintln!("{problem}"));
-        bail!("{}: {} problems", path.display(), problems.len());
+    match pseudoflow_cli::graphs::check(&Graph::read(path)?, path, &registry()) {
+        0 => Ok(()),
+        problems => bail!("{}: {problems} problems", path.display()),
     }
-    println!("{}: {} nodes, no problems", path.display(), graph.nodes.len());
-    Ok(())
 }
