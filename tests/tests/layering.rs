@@ -36,11 +36,12 @@ const NODES: [&str; 11] = [
     "pseudoflow-evaluator",
     "pseudoflow-recorder",
 ];
-const SHARED: [&str; 11] = [
+const SHARED: [&str; 12] = [
     "pseudoflow-msgs",
     "pseudoflow-geometry",
     "pseudoflow-imaging",
     "pseudoflow-network",
+    "pseudoflow-learning",
     "pseudoflow-inference",
     "pseudoflow-contour",
     "pseudoflow-solver",
@@ -93,8 +94,8 @@ fn ground_truth_stays_with_those_who_score() {
 }
 
 #[test]
-fn training_engines_stay_in_network_and_trainer() {
-    let allowed: BTreeSet<String> = ["pseudoflow-network", "pseudoflow-trainer"].map(String::from).into();
+fn training_engines_stay_with_learning() {
+    let allowed: BTreeSet<String> = ["pseudoflow-learning"].map(String::from).into();
     for engine in ["burn", "burn-flex"] {
         let users = users_of(engine);
         assert!(users.is_subset(&allowed), "{engine} is used by {users:?}");

@@ -3,7 +3,7 @@
 use crate::progress::progress_bar;
 use anyhow::{Context as _, Result};
 use pseudoflow_runtime::graph::PortRef;
-use pseudoflow_runtime::{Graph, GraphError, Registry, local};
+use pseudoflow_runtime::{Graph, GraphError, Registry, local, shipped};
 use std::path::Path;
 
 /// A graph that a command runs.
@@ -22,12 +22,13 @@ impl Written<'_> {
     /// # Errors
     /// The file cannot be written, the graph has problems, or a node fails.
     pub fn run(&self, registry: &Registry, what: &str, frames: u64, done: u64) -> Result<()> {
-        let stated = self.graph.resolved().map_err(GraphError::Problems)?;
+        let mut stated = self.graph.resolved().map_err(GraphError::Problems)?;
+        shipped::fill_in(&mut stated)?;
         std::fs::write(self.file, stated.to_yaml()?)
             .with_context(|| format!("{}: cannot be written", self.file.display()))?;
         let folder = self.file.parent().unwrap_or(Path::new("."));
         let bar = progress_bar(frames, what);
-        local::run(self.graph, registry, folder, &mut |handled| bar.set_position(done + handled))?;
+        local::run(&stated, registry, folder, &mut |handled| bar.set_position(done + handled))?;
         bar.finish_and_clear();
         Ok(())
     }

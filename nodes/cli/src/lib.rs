@@ -1,7 +1,10 @@
-//! What the two programs share, `pseudoflow` and `pseudoflow-with-truth`: the options and the graph of a training, and how a command
-//! runs a graph that it wrote.
+//! What the two programs share, `pseudoflow` and `pseudoflow-with-truth`: the options and the graph of a training, how a command
+//! runs a graph that it wrote, and where shipped files are.
 
+#[cfg(feature = "embed")]
+pub mod carried;
 pub mod graphs;
 pub mod in_process;
 pub mod progress;
+#[cfg(feature = "training")]
 pub mod training;

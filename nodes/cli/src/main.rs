@@ -33,20 +33,13 @@ enum Command {
     /// One node of a run, as the supervisor starts it.
     #[command(hide = true)]
     Node(commands::run::NodeArgs),
-    /// Trains a network on synthetic renderings of an object set.
-    Pretrain(commands::pretrain::Args),
-    /// Trains on recordings without annotations, and keeps the result if it is better.
-    Adapt(commands::adapt::Args),
-    /// Trains once for every row of a table and every seed, and scores what came out.
-    Ablate(commands::ablate::Args),
-    /// Learns from synthetic images when refined poses can be believed.
-    Calibrate(commands::calibrate::Args),
+    #[cfg(feature = "training")]
+    #[command(flatten)]
+    Training(commands::trainings::Command),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
     /// Plays a recording in real time into a graph: poses per second, latency, what was right in time.
     Bench(commands::bench::Args),
-    /// Times a training step and a look on a device.
-    BenchDevice(commands::bench_device::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
     Eval(commands::eval::Args),
     /// Shows the difference of two reports, object by object.
@@ -58,7 +51,7 @@ enum Command {
 
 /// Every kind of node that graphs may name.
 fn registry() -> Registry {
-    Registry::new()
+    let registry = Registry::new()
         .with::<pseudoflow_player::PlayerNode>()
         .with::<pseudoflow_initializer::InitializerNode>()
         .with::<pseudoflow_initializer::RectangleFinder>()
@@ -68,12 +61,14 @@ fn registry() -> Registry {
         .with::<pseudoflow_consistency::ConsistencyNode>()
         .with::<pseudoflow_pnp::PnpNode>()
         .with::<pseudoflow_pnp::judge::JudgeNode>()
-        .with::<pseudoflow_trainer::adapt::TrainerNode>()
         .with::<pseudoflow_bridge::Bridge>()
         .with::<pseudoflow_evaluator::EvaluatorNode>()
         .with::<pseudoflow_evaluator::live::StopwatchNode>()
         .with::<pseudoflow_evaluator::results::ResultsNode>()
-        .with::<pseudoflow_recorder::RecorderNode>()
+        .with::<pseudoflow_recorder::RecorderNode>();
+    #[cfg(feature = "training")]
+    let registry = registry.with::<pseudoflow_trainer::adapt::TrainerNode>();
+    registry
 }
 
 /// Quiet libraries: RustDDS calls each datagram that it cannot use an error.
@@ -84,6 +79,8 @@ const LOG_FILTER: &str = "rustdds=off,ros2_client=error,ros2_client::distributio
 const LEVEL_VARIABLE: &str = "PSEUDOFLOW_LOG_LEVEL";
 
 fn main() -> ExitCode {
+    #[cfg(feature = "embed")]
+    pseudoflow_cli::carried::carry();
     let (ours, ros) = ros_args::split(std::env::args());
     let ros = match RosArgs::parse(&ros) {
         Ok(ros) => ros,
@@ -112,18 +109,15 @@ fn dispatch(command: Command, ros: &RosArgs) -> Result<ExitCode> {
     match command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Run(args) => commands::run::run(&args, ros),
-        Command::Ablate(args) => commands::ablate::run(&args),
         Command::Check(args) => commands::run::check(&args),
         Command::Graph(args) => commands::run::draw(&args),
         Command::Schema => commands::run::schema(),
         Command::Interface => commands::interface::run(),
         Command::Node(args) => commands::run::node(&args),
-        Command::Pretrain(args) => commands::pretrain::run(&args),
-        Command::Adapt(args) => commands::adapt::run(&args),
-        Command::Calibrate(args) => commands::calibrate::run(&args),
+        #[cfg(feature = "training")]
+        Command::Training(command) => commands::trainings::run(&command),
         Command::Export(args) => commands::export::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
-        Command::BenchDevice(args) => commands::bench_device::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
         Command::Compare(args) => commands::eval::compare(&args),
         Command::Bag(command) => commands::bag::run(&command),

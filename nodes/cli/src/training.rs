@@ -23,13 +23,13 @@ pub const FIRST_LOOK: [&str; 3] = ["look", "look_flow", "pnp"];
 #[derive(clap::Args, Debug, Clone)]
 pub struct TrainingArgs {
     /// Recordings: rosbag2 folders, .mcap files or BOP scenes. Annotations are not needed.
-    #[arg(long = "bag", required = true, num_args = 1..)]
+    #[arg(long = "bag", required = true, num_args = 1.., value_parser = pseudoflow_runtime::shipped::input)]
     pub bags: Vec<PathBuf>,
     /// The object set: a BOP `models/` folder.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     pub objects: PathBuf,
     /// Weights to begin with (.safetensors).
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     pub weights: PathBuf,
     /// The weights to write. Log, checkpoint and report stand in a folder of the same name, `.adapt`.
     #[arg(long)]
@@ -203,15 +203,6 @@ pub fn adapt_graph() -> Result<Graph> {
 /// Lets the views be rendered around the initial poses as they come, as in the paper.
 pub fn look_once(graph: &mut Graph) {
     take_out(graph, &FIRST_LOOK);
-}
-
-/// The network of a name.
-///
-/// # Errors
-/// Says which names there are.
-pub fn network(name: &str) -> Result<Network> {
-    serde_json::from_value(json!(name))
-        .map_err(|_| anyhow!("`--network {name}`: write auto, refiner, nano, small or paper"))
 }
 
 #[cfg(test)]

@@ -3,9 +3,26 @@
 
 use crate::FlowError;
 use pseudoflow_inference::{Engine, InferenceError, Input, Output};
-use pseudoflow_network::{BuiltFlow, ComputeDevice, FlowNetwork, OpenDevice, Weights};
+use pseudoflow_learning::{BuiltFlow, OpenDevice, Trainable as _};
+use pseudoflow_network::{ComputeDevice, FlowNetwork, Weights};
 
 const ENGINE: &str = "burn";
+
+/// A device that burn computes on.
+pub(crate) type BurnDevice = OpenDevice;
+
+/// A device by its name.
+///
+/// # Errors
+/// It is not compiled in or not there.
+pub(crate) fn open_device(device: ComputeDevice) -> Result<BurnDevice, FlowError> {
+    Ok(OpenDevice::open(device)?)
+}
+
+/// The GPU that `auto` finds.
+pub(crate) fn gpu_of_auto() -> Option<BurnDevice> {
+    OpenDevice::gpu_of_auto()
+}
 
 /// A network with its weights on a device.
 pub(crate) struct BurnEngine {
@@ -20,9 +37,9 @@ impl BurnEngine {
         network: &FlowNetwork,
         iterations: usize,
         device: &OpenDevice,
-    ) -> Result<Self, FlowError> {
+    ) -> Result<Box<dyn Engine>, FlowError> {
         let network = network.build(weights, &device.device)?;
-        Ok(Self { network, iterations, device: device.clone() })
+        Ok(Box::new(Self { network, iterations, device: device.clone() }))
     }
 
     /// Fields that a run computes for `n` wanted ones. A GPU chooses its kernels anew for every number that it has not

@@ -1,10 +1,10 @@
 //! Which engine computes flow, on which device: chosen once at the start, logged, and then kept.
 
-use crate::burn_engine::BurnEngine;
+use crate::burn_engine::{BurnDevice, BurnEngine, gpu_of_auto, open_device};
 use crate::loaded::Loaded;
 use crate::{FlowConfig, FlowError};
 use pseudoflow_inference::{Backend, Engine, EngineConfig, ExecutionProvider, open};
-use pseudoflow_network::{ComputeDevice, ExportOptions, FlowNetwork, OpenDevice, Weights, is_refiner_onnx};
+use pseudoflow_network::{ComputeDevice, ExportOptions, FlowNetwork, Weights, is_refiner_onnx};
 
 /// What an engine runs.
 pub(crate) enum Model {
@@ -28,7 +28,7 @@ enum Choice {
     /// ONNX Runtime or rten.
     Onnx(EngineConfig),
     /// The training's network.
-    Burn(OpenDevice),
+    Burn(BurnDevice),
 }
 
 /// What may be chosen, in this order of preference.
@@ -80,8 +80,8 @@ impl Opener {
             (Attempt::Burn(_) | Attempt::BurnOnGpu, Model::Onnx(_)) => {
                 return Err(pseudoflow_inference::InferenceError::NeedsWeights.into());
             }
-            (Attempt::Burn(device), _) => Choice::Burn(device.open()?),
-            (Attempt::BurnOnGpu, _) => Choice::Burn(ComputeDevice::gpu_of_auto().ok_or(FlowError::NoGpu)?),
+            (Attempt::Burn(device), _) => Choice::Burn(open_device(*device)?),
+            (Attempt::BurnOnGpu, _) => Choice::Burn(gpu_of_auto().ok_or(FlowError::NoGpu)?),
         };
         let iterations = config.iterations.map_or(network.iterations_infer(), |given| given as usize);
         let options = ExportOptions { size_px: config.size_px as usize, iterations, batch: None };
@@ -109,7 +109,7 @@ impl Opener {
                 Ok(open(&self.network.export(weights, self.options)?, engine)?)
             }
             (Choice::Burn(device), Model::Weights(weights)) => {
-                Ok(Box::new(BurnEngine::open(weights, &self.network, self.options.iterations, device)?))
+                BurnEngine::open(weights, &self.network, self.options.iterations, device)
             }
             (Choice::Burn(_), Model::Onnx(_)) => Err(pseudoflow_inference::InferenceError::NeedsWeights.into()),
         }

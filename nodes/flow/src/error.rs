@@ -28,6 +28,15 @@ pub enum FlowError {
         /// What each engine said.
         reasons: String,
     },
+    /// A device that only burn computes on, or burn itself, in a binary without it.
+    #[error(
+        "`device: {device}` with burn: this binary was built without its feature `training`: build it with it, or let ONNX Runtime \
+         or rten compute (`device: cpu`, `engine.backend: auto`)"
+    )]
+    NoBurn {
+        /// The device.
+        device: String,
+    },
     /// This binary finds no GPU.
     #[error("no GPU that this binary can use")]
     NoGpu,

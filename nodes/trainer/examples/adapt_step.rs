@@ -7,7 +7,8 @@ use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FlowFieldsHeader, Message, Partner, PseudoLabels, PseudoLabelsHeader, ReferenceViews,
     ReferenceViewsHeader,
 };
-use pseudoflow_network::{Device, ExtraLoss, FlowBatch, FlowNetwork, TrainConfig, TrainState, Weights};
+use pseudoflow_learning::{Device, ExtraLoss, FlowBatch, TrainConfig, TrainState};
+use pseudoflow_network::{FlowNetwork, Weights};
 use pseudoflow_trainer::adapt::{AdaptState, Sample, SampleForm, TrainerConfig};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -75,11 +75,13 @@ pub enum TrainerError {
     },
     /// The weights that a training starts from by default are not where they are looked for.
     #[error(
-        "{path}: no such file here; trainings start from weights of the pseudoflow repository: run in its folder, or give others (`--warm-start FILE`, `--warm-start random` for none)"
+        "{path}: {cause}; trainings start from weights that come with pseudoflow: give others with `--warm-start FILE`, or none with `--warm-start random`"
     )]
     NotShipped {
-        /// Where they are looked for.
+        /// Their path in the repository.
         path: PathBuf,
+        /// Why they were not found.
+        cause: String,
     },
     /// A message that does not fit this training.
     #[error("{0}")]

@@ -16,13 +16,13 @@ use std::process::ExitCode;
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// What is played: a rosbag2 folder, an .mcap file, or a BOP scene folder.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     source: PathBuf,
     /// Folder of the object set; takes the place of `objects` in every node of the graph.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     objects: PathBuf,
     /// Scores against the ground truth of this BOP scene folder.
-    #[arg(long, conflicts_with = "reference")]
+    #[arg(long, conflicts_with = "reference", value_parser = pseudoflow_runtime::shipped::input)]
     truth: Option<PathBuf>,
     /// Scores against this BOP result file of a method that is believed.
     #[arg(long)]
@@ -43,7 +43,7 @@ pub(crate) struct Args {
     #[arg(long)]
     report: PathBuf,
     /// The graph; its camera or player becomes the recording, and what publishes or records becomes a stopwatch.
-    #[arg(long, default_value = "config/graphs/live_track.yaml")]
+    #[arg(long, default_value = "config/graphs/live_track.yaml", value_parser = pseudoflow_runtime::shipped::input)]
     graph: PathBuf,
     /// Overrides, as for `run`.
     #[arg(long = "set", value_name = "NODE.KEY=VALUE")]

@@ -4,9 +4,8 @@ use anyhow::{Context as _, Result, anyhow, ensure};
 use pseudoflow_flow::{FlowConfig, FlowNode};
 use pseudoflow_inference::EngineConfig;
 use pseudoflow_msgs::{AlignedBytes, FrameKey, ReferenceViews, ReferenceViewsHeader};
-use pseudoflow_network::{
-    ComputeDevice, Device, FlowBatch, FlowNetwork, REFERENCE_CHANNELS, RefinerBatch, TrainConfig, TrainState, Weights,
-};
+use pseudoflow_learning::{OpenDevice, Device, FlowBatch, RefinerBatch, TrainConfig, TrainState};
+use pseudoflow_network::{ComputeDevice, FlowNetwork, REFERENCE_CHANNELS, Weights};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use std::path::Path;
 use std::process::ExitCode;
@@ -39,7 +38,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     ensure!(args.batch > 0 && args.objects.iter().all(|n| *n > 0), "`--batch`, `--objects`: give at least 1");
-    let open = args.device.open()?;
+    let open = OpenDevice::open(args.device)?;
     println!("device {open}");
     for name in &args.networks {
         let network = FlowNetwork::named(name)?;
@@ -146,7 +145,7 @@ fn look(args: &Args, name: &str, network: &FlowNetwork, device: ComputeDevice) -
 fn look_with(args: &Args, name: &str, network: &FlowNetwork, device: ComputeDevice, model: &Path) -> Result<()> {
     let config = FlowConfig {
         model: model.to_owned(),
-        network: pseudoflow_cli::training::network(name)?,
+        network: pseudoflow_cli::graphs::network(name)?,
         size_px: args.size,
         iterations: args.iterations,
         max_batch: 16,

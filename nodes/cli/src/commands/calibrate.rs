@@ -24,10 +24,10 @@ use std::process::ExitCode;
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// Meshes to calibrate with: BOP `models` folders. Plain and textured ones, and none of those that it will be tested with.
-    #[arg(long, required = true, num_args = 1..)]
+    #[arg(long, required = true, num_args = 1.., value_parser = pseudoflow_runtime::shipped::input)]
     objects: Vec<PathBuf>,
     /// Weights of the flow network: `.safetensors` or `.onnx`. `--stages region` needs none.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     weights: Option<PathBuf>,
     /// The network that the weights belong to: nano, small or paper.
     #[arg(long, default_value = "auto")]
@@ -132,7 +132,7 @@ fn pipeline(args: &Args, stages: Stages, objects: &Path, size_px: u32) -> Result
 fn flow_config(args: &Args, weights: &Path, size_px: u32) -> Result<FlowConfig> {
     Ok(FlowConfig {
         model: weights.to_owned(),
-        network: pseudoflow_cli::training::network(&args.network)?,
+        network: pseudoflow_cli::graphs::network(&args.network)?,
         size_px,
         iterations: args.iterations,
         max_batch: 16,

@@ -13,10 +13,10 @@ use std::process::ExitCode;
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The graph to run.
-    #[arg(long, default_value = "config/graphs/demo.yaml")]
+    #[arg(long, default_value = "config/graphs/demo.yaml", value_parser = pseudoflow_runtime::shipped::input)]
     graph: PathBuf,
     /// Ground truth of its recording, a BOP scene folder.
-    #[arg(long, default_value = "bags/tabletop_dense_truth")]
+    #[arg(long, default_value = "bags/tabletop_dense_truth", value_parser = pseudoflow_runtime::shipped::input)]
     truth: PathBuf,
     /// Folder for scores, pictures and the animation.
     #[arg(long, default_value = "out/demo")]
@@ -26,8 +26,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     let out = args.out.display();
     let arrivals = args.out.join("arrivals.jsonl");
-    let graph = read_graph(&args.graph, &[format!("stopwatch.out={}", arrivals.display())])
-        .context("the demo runs in the repository's root folder, where config/ and bags/ are")?;
+    let graph = read_graph(&args.graph, &[format!("stopwatch.out={}", arrivals.display())])?;
     let player = player(&graph)?;
     let folder = player.objects.clone().context("the graph's player needs `objects`")?;
     let (objects, truth) = (ObjectSet::load(&folder)?, Expectation::of_truth(&args.truth)?);

@@ -21,24 +21,24 @@ use std::process::ExitCode;
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The dataset: a folder with `models/` and splits, as BOP lays them out.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     dataset: PathBuf,
     /// The split: a folder of the dataset, e.g. `test`, or `test_primesense` of T-LESS.
     #[arg(long, default_value = "test")]
     split: String,
     /// Weights to refine with: `.safetensors` or `.onnx`. Without them, what the initializer finds, or else `--csv`, is scored.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     weights: Option<PathBuf>,
     /// Meshes to render, a BOP `models` folder; without: the dataset's with textures or colours.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     objects: Option<PathBuf>,
     /// Initial poses: a BOP result file (.csv), or the weights of an initializer (.safetensors), which is then run on every
     /// image. The default is each scene's `init_poses.json`.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     init: Option<PathBuf>,
     /// Weights of a flow network in whose feature space the initializer compares the objects, rendered from all sides, with
     /// the image.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     init_compare: Option<PathBuf>,
     /// The network that the initializer's weights belong to: nano, full or a YAML file.
     #[arg(long, default_value = "nano")]
@@ -74,7 +74,7 @@ pub(crate) struct Args {
     #[arg(long)]
     onnxruntime: Option<PathBuf>,
     /// The gate's model, a file that `pseudoflow calibrate` wrote; without it that of the binary.
-    #[arg(long, conflicts_with = "no_gate")]
+    #[arg(long, conflicts_with = "no_gate", value_parser = pseudoflow_runtime::shipped::input)]
     gate: Option<PathBuf>,
     /// Smallest probability of being better for a refined pose to be accepted, 0..1.
     #[arg(long, conflicts_with = "no_gate")]

@@ -1,12 +1,12 @@
 use anyhow::{Context as _, Result};
-use pseudoflow_cli::training::network;
+use pseudoflow_cli::graphs::network;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// Weights, a `.safetensors` file.
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     weights: PathBuf,
     /// The `.onnx` file to write.
     #[arg(long)]

@@ -26,14 +26,14 @@ pub(crate) struct Args {
     #[arg(long, value_enum, default_value = "flow")]
     stage: Stage,
     /// The objects: BOP `models/` folders. One network is trained for all of them (initializer: one folder).
-    #[arg(long, value_delimiter = ',', required = true, value_name = "DIR[,DIR...]")]
+    #[arg(long, value_delimiter = ',', required = true, value_name = "DIR[,DIR...]", value_parser = pseudoflow_runtime::shipped::input)]
     objects: Vec<PathBuf>,
     /// refiner, nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
     #[arg(long, default_value = "nano")]
     network: String,
     /// Flow: photographs for walls, tables and cards of the scenes, without any annotation: folders of pictures (and the
     /// folders in them), or recordings (bags), whose frames are copied to a folder beside `--out`.
-    #[arg(long, value_delimiter = ',', value_name = "DIR|BAG[,...]")]
+    #[arg(long, value_delimiter = ',', value_name = "DIR|BAG[,...]", value_parser = pseudoflow_runtime::shipped::input)]
     backgrounds: Vec<PathBuf>,
     /// Flow: leaves out meshes and pictures that their folder's `meta.json` does not release for shipping.
     #[arg(long)]
@@ -76,7 +76,7 @@ pub(crate) struct Args {
     seed: u64,
     /// Weights to start from; `random` for none. The default is RAFT-small as its authors trained it (initializer: that of
     /// this repository, which knows other objects; a flow network may be given too).
-    #[arg(long)]
+    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     warm_start: Option<PathBuf>,
     /// What trains: auto, cpu, vulkan[:N] or cuda[:N]. A training may go on with another one.
     #[arg(long, default_value = "auto")]

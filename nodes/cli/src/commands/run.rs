@@ -1,6 +1,6 @@
 use super::ros_args::RosArgs;
 use anyhow::{Context as _, Result};
-use pseudoflow_runtime::{Graph, graph, local, supervisor};
+use pseudoflow_runtime::{Graph, graph, local, shipped, supervisor};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -8,6 +8,7 @@ use std::process::ExitCode;
 #[derive(clap::Args)]
 pub(crate) struct GraphArgs {
     /// The graph, a YAML file.
+    #[arg(value_parser = shipped::input)]
     graph: PathBuf,
     /// Overrides: a parameter of the graph (`size_px=256`), a node's setting (`player.source=my.mcap`), or `window=8`.
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -46,8 +47,15 @@ pub(crate) struct NodeArgs {
 
 pub(crate) fn read_graph(path: &Path, overrides: &[String]) -> Result<Graph> {
     let mut graph = read_stated(path, overrides)?;
-    super::inherit::fill_in(&mut graph);
+    fill_in(&mut graph)?;
     Ok(graph)
+}
+
+/// What a graph leaves to be found: the files that come with the program, and settings that follow from other nodes'.
+fn fill_in(graph: &mut Graph) -> Result<()> {
+    shipped::fill_in(graph)?;
+    super::inherit::fill_in(graph);
+    Ok(())
 }
 
 /// The graph as file and overrides state it.
@@ -75,7 +83,7 @@ impl GraphArgs {
 
     fn read(&self) -> Result<Graph> {
         let mut graph = self.stated()?;
-        super::inherit::fill_in(&mut graph);
+        fill_in(&mut graph)?;
         Ok(graph)
     }
 }
@@ -87,7 +95,7 @@ pub(crate) fn run(args: &Args, ros: &RosArgs) -> Result<ExitCode> {
     if args.allow_rmw_mismatch {
         allow_rmw_mismatch(&mut graph);
     }
-    super::inherit::fill_in(&mut graph);
+    fill_in(&mut graph)?;
     if args.in_process {
         return run_in_process(&graph, &args.out);
     }

@@ -1,6 +1,7 @@
 //! `config/networks/*.yaml`: which network, at which size, with how many iterations.
 
 use crate::error::{NetworkError, Result, io_error};
+use crate::model::{Model, TensorSpec};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -83,13 +84,25 @@ impl NetworkConfig {
         if self.name.is_empty() {
             return bad("name", "is empty; give the network a name".into());
         }
-        check_size(self.size_px)?;
+        Self::check_size(self.size_px)?;
         for (field, n) in [("iterations_train", self.iterations_train), ("iterations_infer", self.iterations_infer)] {
             if !(1..=64).contains(&n) {
                 return bad(field, format!("is {n}; use 1 to 64"));
             }
         }
         Ok(())
+    }
+
+    /// Checks a crop side in px: a multiple of 8 from 64 to 1024.
+    ///
+    /// # Errors
+    /// It is another number.
+    pub fn check_size(size_px: usize) -> Result<()> {
+        if size_px.is_multiple_of(8) && (64..=1024).contains(&size_px) {
+            return Ok(());
+        }
+        let problem = format!("is {size_px}; use a multiple of 8 from 64 to 1024");
+        Err(NetworkError::ConfigValue { field: "size_px", problem })
     }
 
     /// Fingerprint (FNV-1a, 64 bit, hex) of what decides the weights' meaning; written into weight files.
@@ -99,13 +112,22 @@ impl NetworkConfig {
     }
 }
 
-/// Checks a crop side in px: a multiple of 8 from 64 to 1024.
-pub(crate) fn check_size(size_px: usize) -> Result<()> {
-    if size_px.is_multiple_of(8) && (64..=1024).contains(&size_px) {
-        return Ok(());
+impl Model for NetworkConfig {
+    fn name(&self) -> &str {
+        &self.name
     }
-    let problem = format!("is {size_px}; use a multiple of 8 from 64 to 1024");
-    Err(NetworkError::ConfigValue { field: "size_px", problem })
+
+    fn hash(&self) -> String {
+        self.hash()
+    }
+
+    fn layout(&self) -> Vec<TensorSpec> {
+        self.arch.layout()
+    }
+
+    fn check(&self) -> Result<()> {
+        self.check()
+    }
 }
 
 #[cfg(test)]

@@ -97,6 +97,6 @@ pub enum NetworkError {
 pub type Result<T> = std::result::Result<T, NetworkError>;
 
 /// Maps an [`std::io::Error`] at `path`.
-pub(crate) fn io_error(path: &std::path::Path) -> impl FnOnce(std::io::Error) -> NetworkError + '_ {
+pub fn io_error(path: &std::path::Path) -> impl FnOnce(std::io::Error) -> NetworkError + '_ {
     move |source| NetworkError::Io { path: path.to_path_buf(), source }
 }

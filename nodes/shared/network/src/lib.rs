@@ -1,41 +1,26 @@
-//! The flow network: RAFT in burn with own CPU kernels, its losses, optimiser, training state and ONNX export.
+//! The networks without an engine: what they are made of, their weights, and their export as ONNX. `pseudoflow-learning` computes
+//! and trains them with burn; ONNX Runtime and rten run what [`FlowNetwork::export`] writes.
 
 mod config;
 mod detector;
 mod device;
 mod error;
 mod flow_network;
-mod guard;
-mod kernels;
-mod labels;
-mod loss;
-mod memory;
+pub mod layout;
 mod model;
 mod onnx;
-pub mod ops;
-mod optim;
-mod raft;
 mod refiner;
-mod train;
+pub mod storage;
+mod upsampling;
 mod weights;
 
-pub use burn::tensor::{Device, Tensor};
 pub use config::{Architecture, NetworkConfig};
-pub use detector::{
-    CORNERS, Cell, DetectionLoss, Detector, DetectorConfig, DetectorOutput, Grid, InstanceTruth, LossWeights, STRIDES,
-    SURFACE_UNIT, SceneTruth, Trunk, detection_loss,
-};
-pub use device::{ComputeDevice, OpenDevice};
-pub use error::{NetworkError, Result};
-pub use flow_network::{BuiltFlow, FlowNetwork};
-pub use labels::ExtraLoss;
-pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
-pub use model::{Init, Model, Parameter, TensorSpec};
+pub use detector::{CORNERS, Cell, DetectorConfig, Grid, STRIDES, SURFACE_UNIT};
+pub use device::ComputeDevice;
+pub use error::{NetworkError, Result, io_error};
+pub use flow_network::FlowNetwork;
+pub use model::{BATCH_NORM_EPSILON, Init, Model, TensorSpec};
 pub use onnx::{ExportOptions, Pictures, export_detector, export_onnx, export_refiner, is_refiner_onnx};
-pub use optim::{AdamWConfig, OneCycle, Plateau, Schedule};
-pub use raft::Raft;
-pub use refiner::{
-    DeviceRefinerBatch, REFERENCE_CHANNELS, Refinement, Refiner, RefinerBatch, RefinerConfig, reference_geometry,
-};
-pub use train::{StepStats, TrainConfig, TrainState};
+pub use refiner::{REFERENCE_CHANNELS, RefinerConfig, reference_geometry};
+pub use upsampling::align_corners_matrix;
 pub use weights::{NamedTensor, Weights, WeightsInfo};

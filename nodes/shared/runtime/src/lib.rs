@@ -18,6 +18,7 @@ mod plan;
 mod port;
 mod registry;
 mod runner;
+pub mod shipped;
 mod stride;
 pub mod supervisor;
 pub mod yaml;

@@ -1,7 +1,8 @@
 use super::photo::{PhotoSample, photo_loss};
 use super::{Sample, TrainerConfig};
 use crate::TrainerError;
-use pseudoflow_network::{ExtraLoss, FlowBatch, FlowNetwork, TrainConfig, TrainState, Weights};
+use pseudoflow_learning::{OpenDevice, ExtraLoss, FlowBatch, TrainConfig, TrainState};
+use pseudoflow_network::{FlowNetwork, Weights};
 use std::path::Path;
 
 /// Names of the other weights in a checkpoint.
@@ -55,7 +56,7 @@ impl AdaptState {
         let network = config.resolve_network()?;
         let weights = Weights::load(&config.weights, &network)?;
         let training = TrainConfig::new(config.max_lr, config.updates());
-        let student = TrainState::new(network, training, weights, &config.device.open()?.device)?;
+        let student = TrainState::new(network, training, weights, &OpenDevice::open(config.device)?.device)?;
         let teacher = student.weights.clone();
         Ok(Self { published: teacher.clone(), before: teacher.clone(), teacher, student, repeats: config.repeats })
     }
@@ -66,7 +67,7 @@ impl AdaptState {
     /// It is unreadable, damaged, or of another network or schedule.
     pub fn load(path: &Path, config: &TrainerConfig) -> Result<Self, TrainerError> {
         let names = [TEACHER, PUBLISHED, BEFORE];
-        let (network, device) = (config.resolve_network()?, config.device.open()?.device);
+        let (network, device) = (config.resolve_network()?, OpenDevice::open(config.device)?.device);
         let (student, mut others) = TrainState::load_with(path, network, &device, &names)?;
         let wanted = TrainConfig::new(config.max_lr, config.updates());
         if student.config != wanted {

@@ -5,7 +5,8 @@ use crate::synth::SceneSample;
 use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, standard_normal};
 use pseudoflow_imaging::{BACKGROUND_GREY, Object, ObjectSet, RgbImage};
-use pseudoflow_network::{CORNERS, Grid, InstanceTruth, SceneTruth};
+use pseudoflow_learning::{InstanceTruth, SceneTruth};
+use pseudoflow_network::{CORNERS, Grid};
 use rand::Rng;
 
 /// One image of a batch, and what it shows.

@@ -1,7 +1,8 @@
 use crate::TrainerError;
 use crate::pretrain::WarmStart;
 use crate::synth::SceneConfig;
-use pseudoflow_network::{ComputeDevice, DetectorConfig, Trunk};
+use pseudoflow_learning::Trunk;
+use pseudoflow_network::{ComputeDevice, DetectorConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

@@ -18,9 +18,8 @@ use crate::pretrain::{SHIPPED_WEIGHTS, WarmStart, shipped};
 use crate::synth::SceneGenerator;
 use data::{Prefetch, Source};
 use pseudoflow_imaging::ObjectSet;
-use pseudoflow_network::{
-    ComputeDevice, DetectorConfig, Grid, LossWeights, NetworkConfig, TrainConfig, TrainState, Trunk, Weights,
-};
+use pseudoflow_learning::{OpenDevice, LossWeights, TrainConfig, TrainState, Trunk};
+use pseudoflow_network::{ComputeDevice, DetectorConfig, Grid, NetworkConfig, Weights};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -208,7 +207,7 @@ fn open(
     network: &DetectorConfig,
     objects: &ObjectSet,
 ) -> Result<(State, RunLog<InitializerStep>), TrainerError> {
-    let device = config.device.open()?.device;
+    let device = OpenDevice::open(config.device)?.device;
     let (checkpoint, log_path) = (config.checkpoint_path(), config.out.with_extension("csv"));
     let description = describe(config);
     if config.resume {

@@ -1,6 +1,7 @@
 use crate::TrainerError;
 use crate::synth::SynthConfig;
-use pseudoflow_network::{Architecture, ComputeDevice, FlowNetwork, Plateau, Schedule, TrainConfig};
+use pseudoflow_learning::{Plateau, Schedule, TrainConfig};
+use pseudoflow_network::{Architecture, ComputeDevice, FlowNetwork};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -111,10 +112,11 @@ pub const SHIPPED_WEIGHTS: &str = "config/weights/raft_small.safetensors";
 /// The refiner for all objects, relative to the repository.
 pub const SHIPPED_REFINER: &str = "config/weights/refiner.safetensors";
 
-/// Weights of this repository, which are looked for from the folder that the command runs in.
+/// Weights of this repository.
 pub(crate) fn shipped(path: &str) -> Result<PathBuf, TrainerError> {
-    let path = PathBuf::from(path);
-    if path.is_file() { Ok(path) } else { Err(TrainerError::NotShipped { path }) }
+    let not_shipped = |cause: String| TrainerError::NotShipped { path: path.into(), cause };
+    let found = pseudoflow_runtime::shipped::input(path).map_err(|error| not_shipped(error.to_string()))?;
+    if found.is_file() { Ok(found) } else { Err(not_shipped("no such file".into())) }
 }
 
 /// How often a crop size is used. As text: `256`, or `256:2` with a weight.

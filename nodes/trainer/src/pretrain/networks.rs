@@ -2,10 +2,11 @@
 
 use super::data::Batch;
 use crate::TrainerError;
-use pseudoflow_network::{Model, NetworkConfig, NetworkError, RefinerConfig, StepStats, TrainState, Weights};
+use pseudoflow_learning::{Raft, Refiner, StepStats, TrainState, Trainable};
+use pseudoflow_network::{NetworkConfig, NetworkError, RefinerConfig, Weights};
 
 /// A network that trains on synthetic pairs.
-pub(crate) trait PairNetwork: Model {
+pub(crate) trait PairNetwork: Trainable {
     /// Whether it takes the depth of its references.
     const TAKES_GEOMETRY: bool;
 
@@ -37,7 +38,7 @@ impl PairNetwork for NetworkConfig {
 
     fn error_px(&self, weights: &Weights, batch: &Batch) -> Result<f32, TrainerError> {
         let network = Self { size_px: batch.size_px, ..self.clone() };
-        Ok(network.end_point_error(weights, &batch.view())?)
+        Ok(Raft::error_px(&network, weights, &batch.view())?)
     }
 }
 
@@ -57,6 +58,6 @@ impl PairNetwork for RefinerConfig {
 
     fn error_px(&self, weights: &Weights, batch: &Batch) -> Result<f32, TrainerError> {
         let network = Self { size_px: batch.size_px, ..self.clone() };
-        Ok(network.end_point_error(weights, &batch.refiner_view())?)
+        Ok(Refiner::error_px(&network, weights, &batch.refiner_view())?)
     }
 }

@@ -7,7 +7,8 @@ use super::{Course, PretrainConfig, PretrainSummary, StepReport, describe, recen
 use crate::TrainerError;
 use crate::offline::{RunLog, check_same_run, keep_description};
 use crate::synth::ObjectPool;
-use pseudoflow_network::{FlowNetwork, TrainState, Weights};
+use pseudoflow_learning::{OpenDevice, TrainState};
+use pseudoflow_network::{FlowNetwork, Weights};
 use std::path::PathBuf;
 
 /// Name of the moving average in a checkpoint.
@@ -40,7 +41,7 @@ impl<M: PairNetwork> Run<M> {
         };
         weights.info.objects = objects.names().to_vec();
         let average = Some((weights.clone(), config.averaged_steps())).filter(|(_, steps)| *steps > 0);
-        let state = TrainState::new(network, config.train_config(), weights, &config.device.open()?.device)?;
+        let state = TrainState::new(network, config.train_config(), weights, &OpenDevice::open(config.device)?.device)?;
         keep_description(&config.out, &config.run_path(), &describe(config))?;
         Ok(Self { state, log: RunLog::new(config.out.with_extension("csv")), average })
     }
@@ -50,7 +51,7 @@ impl<M: PairNetwork> Run<M> {
         let path = config.resumed_checkpoint()?;
         ::log::info!("going on from {}", path.display());
         let names: &[&str] = if config.averaged_steps() > 0 { &[AVERAGE] } else { &[] };
-        let (mut state, averages) = TrainState::load_with(&path, network, &config.device.open()?.device, names)?;
+        let (mut state, averages) = TrainState::load_with(&path, network, &OpenDevice::open(config.device)?.device, names)?;
         state.config = config.train_config();
         let log = RunLog::resumed(config.out.with_extension("csv"), state.step())?;
         let average = averages.into_iter().next().map(|weights| (weights, config.averaged_steps()));

@@ -64,10 +64,10 @@ fn errors_come_before_anything_is_written() {
     config.out = folder.path().join("results/w.safetensors");
     config.warm_start = WarmStart::File(folder.path().join("none.safetensors"));
     assert!(pretrain(&config, &mut Silent).unwrap_err().to_string().contains("none.safetensors"));
-    // Tests run in their crate's folder, where no weights lie.
+    // Tests run in their crate's folder, where no weights lie, and carry none.
     config.warm_start = WarmStart::Auto;
     let message = pretrain(&config, &mut Silent).unwrap_err().to_string();
-    assert!(message.contains("raft_small.safetensors: no such file") && message.contains("--warm-start"), "{message}");
+    assert!(message.contains("raft_small.safetensors: ") && message.contains("--warm-start"), "{message}");
     config.max_lr = -1.0;
     assert!(pretrain(&config, &mut Silent).unwrap_err().to_string().contains("max_lr"));
     assert!(!folder.path().join("results").exists());

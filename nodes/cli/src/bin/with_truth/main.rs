@@ -49,6 +49,8 @@ fn registry() -> Registry {
 }
 
 fn main() -> Result<()> {
+    #[cfg(feature = "embed")]
+    pseudoflow_cli::carried::carry();
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).init();
     match Command::parse() {
         Command::Train(args) => train::run(&args),

@@ -116,7 +116,7 @@ fn refining(args: &Args, dataset: &EvalDataset, files: &Files) -> Result<Graph> 
             &mut graph,
             &[
                 ("weights", json!(weights)),
-                ("network", json!(pseudoflow_cli::training::network(&args.network)?)),
+                ("network", json!(pseudoflow_cli::graphs::network(&args.network)?)),
                 ("device", json!(args.device)),
                 ("flow.iterations", json!(args.iterations)),
                 ("flow.engine", json!(engine(args)?)),

@@ -3,20 +3,21 @@
 use super::Export;
 use super::builder::{Attr, Builder};
 use crate::config::Architecture;
-use crate::detector::{CORNERS, DetectorConfig, Grid, STRIDES, TOWER, TRUNK};
+use crate::detector::{CORNERS, DetectorConfig, Grid, STRIDES};
 use crate::error::Result;
+use crate::layout::detector::{TOWER, TRUNK};
 use crate::model::Model;
 use crate::weights::Weights;
 
 /// The bytes of an ONNX file with input `image` (1, 3, H, W), f32 in [-1, 1], and outputs `classes` (1, objects, cells),
-/// logits, `corners` (1, 16 objects, cells) and `surface` (1, 3 objects, cells) and `rectangles` (1, 4, cells) as [`crate::Detector::forward`] gives them. The same weights give
+/// logits, `corners` (1, 16 objects, cells) and `surface` (1, 3 objects, cells) and `rectangles` (1, 4, cells) as the network in burn gives them. The same weights give
 /// the same bytes.
 ///
 /// # Errors
 /// The weights belong to another architecture.
 pub fn export_detector(weights: &Weights, config: &DetectorConfig) -> Result<Vec<u8>> {
     // Names the first tensor that does not fit.
-    config.build(weights, &burn::tensor::Device::flex())?;
+    config.check_weights(weights)?;
     let mut export = Export { graph: Builder::default(), weights, arch: Architecture::Small, batch: Some(1), side: 0 };
     let [width, height] = config.input_px;
     let image = export.graph.input("image", Some(1), &[3, height, width]);

@@ -1,6 +1,6 @@
 //! Writes the inference network as standard ONNX (opset 16) with the weights inside and the iterations unrolled.
 //!
-//! The graph does what [`crate::Raft::infer`] does, in forms that CPU runtimes execute fast: the correlation lookup is
+//! The graph does what the network in burn does, in forms that CPU runtimes execute fast: the correlation lookup is
 //! one small Add and one GridSample per pyramid level, the first convolution on the looked-up correlation is a matrix
 //! product before the transpose, the context's share of the GRU is computed once, bilinear upsampling is two matrix
 //! products.
@@ -10,13 +10,10 @@ mod detector;
 mod proto;
 mod recurrent;
 mod refiner;
-#[cfg(test)]
-mod tests;
 
-use crate::config::{Architecture, NetworkConfig, check_size};
+use crate::config::{Architecture, NetworkConfig};
 use crate::error::{NetworkError, Result};
-use crate::model::BATCH_NORM_EPSILON;
-use crate::raft::Raft;
+use crate::model::{BATCH_NORM_EPSILON, Model};
 use crate::weights::{NamedTensor, Weights};
 use builder::{Attr, Batch, Builder};
 pub use detector::export_detector;
@@ -55,10 +52,9 @@ impl ExportOptions {
 /// Size, iterations or batch are out of range, or the weights belong to another architecture.
 pub fn export_onnx(weights: &Weights, config: &NetworkConfig, options: ExportOptions) -> Result<Vec<u8>> {
     let ExportOptions { size_px, iterations, batch } = options;
-    check_size(size_px)?;
+    NetworkConfig::check_size(size_px)?;
     options.check()?;
-    // Names the first tensor that does not fit.
-    Raft::new(weights, config, &burn::tensor::Device::flex())?;
+    config.check_weights(weights)?;
     let mut export = Export { graph: Builder::default(), weights, arch: config.arch, batch, side: size_px / 8 };
     let image = [3, size_px, size_px];
     let reference = export.graph.input("reference", batch, &image);
@@ -90,8 +86,8 @@ pub enum Pictures {
 /// # Errors
 /// The size is out of range, or the weights belong to another architecture.
 pub(crate) fn export_features(weights: &Weights, config: &NetworkConfig, size_px: usize) -> Result<Vec<u8>> {
-    check_size(size_px)?;
-    Raft::new(weights, config, &burn::tensor::Device::flex())?;
+    NetworkConfig::check_size(size_px)?;
+    config.check_weights(weights)?;
     let side = size_px / 8;
     let mut export = Export { graph: Builder::default(), weights, arch: config.arch, batch: None, side };
     let image = export.graph.input("image", None, &[3, size_px, size_px]);
@@ -120,7 +116,7 @@ struct ConvWeights {
 }
 
 impl<'a> Export<'a> {
-    /// A tensor whose presence [`Raft::new`] has checked.
+    /// A tensor whose presence [`Model::check_weights`] has checked.
     fn tensor(&self, name: &str) -> &'a NamedTensor {
         self.weights.get(name).expect("checked against the architecture before")
     }

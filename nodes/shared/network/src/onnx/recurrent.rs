@@ -3,8 +3,8 @@
 use super::builder::Attr;
 use super::{ConvWeights, Export};
 use crate::config::Architecture;
-use crate::kernels::align_corners_matrix;
-use crate::raft::LEVELS;
+use crate::layout::raft::LEVELS;
+use crate::upsampling::align_corners_matrix;
 
 /// Correlation maps of one level.
 pub(super) struct Level {

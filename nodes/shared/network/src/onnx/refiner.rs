@@ -4,12 +4,13 @@ use super::builder::{Attr, Builder};
 use super::{ConvWeights, Export, ExportOptions, Pictures, proto};
 use crate::config::Architecture;
 use crate::error::Result;
+use crate::layout::refiner::{LEVELS, RADIUS, WIDTHS};
 use crate::model::Model;
-use crate::refiner::{LEVELS, RADIUS, REFERENCE_CHANNELS, RefinerConfig, WIDTHS, check_size};
+use crate::refiner::{REFERENCE_CHANNELS, RefinerConfig};
 use crate::weights::Weights;
 use prost::Message as _;
 
-/// The bytes of an ONNX file with inputs `reference` (N, 5, S, S) and `real` (N, 3, S, S) as [`crate::Refiner::forward`] takes
+/// The bytes of an ONNX file with inputs `reference` (N, 5, S, S) and `real` (N, 3, S, S) as the network in burn takes
 /// them, and outputs `flow` (N, 2, S, S), px, defined on the reference, and `certainty` (N, 2, S, S): probability that the
 /// rendered surface point is seen in the crop, and confidence that its flow is right to about a pixel, both 0..1. The same
 /// weights and options give the same bytes.
@@ -18,10 +19,9 @@ use prost::Message as _;
 /// Size, iterations or batch are out of range, or the weights belong to another architecture.
 pub fn export_refiner(weights: &Weights, config: &RefinerConfig, options: ExportOptions) -> Result<Vec<u8>> {
     let ExportOptions { size_px, iterations, batch } = options;
-    check_size(size_px)?;
+    RefinerConfig::check_size(size_px)?;
     options.check()?;
-    // Names the first tensor that does not fit.
-    config.build(weights, &burn::tensor::Device::flex())?;
+    config.check_weights(weights)?;
     let (graph, arch) = (Builder::default(), Architecture::Small);
     let mut export = Export { graph, weights, arch, batch, side: size_px / 8 };
     let reference = export.graph.input("reference", batch, &[REFERENCE_CHANNELS, size_px, size_px]);
@@ -41,7 +41,7 @@ pub fn export_refiner(weights: &Weights, config: &RefinerConfig, options: Export
 }
 
 /// The bytes of an ONNX file of the features that the refiner correlates at 1/8: input `image`, of renderings (N, 5, S, S) as
-/// [`crate::Refiner::forward`] takes them or of photographs (N, 3, S, S); output `features` (N, 64, S / 8, S / 8).
+/// the network in burn takes them or of photographs (N, 3, S, S); output `features` (N, 64, S / 8, S / 8).
 ///
 /// # Errors
 /// The size is out of range, or the weights belong to another architecture.
@@ -51,8 +51,8 @@ pub(crate) fn export_refiner_features(
     size_px: usize,
     of: Pictures,
 ) -> Result<Vec<u8>> {
-    check_size(size_px)?;
-    config.build(weights, &burn::tensor::Device::flex())?;
+    RefinerConfig::check_size(size_px)?;
+    config.check_weights(weights)?;
     let side = size_px / 8;
     let mut export = Export { graph: Builder::default(), weights, arch: Architecture::Small, batch: None, side };
     let colours = export.conv_weights("stem");
