@@ -58,7 +58,11 @@ mod tests {
         let folder = unpack(tmp.path()).unwrap();
         let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         for file in ["config/graphs/demo.yaml", "config/weights/refiner.safetensors", "bags/README.md"] {
-            assert_eq!(std::fs::read(folder.join(file)).unwrap(), std::fs::read(repository.join(file)).unwrap(), "{file}");
+            assert_eq!(
+                std::fs::read(folder.join(file)).unwrap(),
+                std::fs::read(repository.join(file)).unwrap(),
+                "{file}"
+            );
         }
         let mark = folder.join("config/mark");
         std::fs::write(&mark, "").unwrap();

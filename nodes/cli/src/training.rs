@@ -1,8 +1,8 @@
 //! A training on recordings: its options, and `config/graphs/adapt.yaml` with them put in.
 
+use crate::graphs::network;
 use crate::in_process::take_out;
-use anyhow::{Context as _, Result, anyhow, bail, ensure};
-use pseudoflow_flow::Network;
+use anyhow::{Context as _, Result, bail, ensure};
 use pseudoflow_network::ComputeDevice;
 use pseudoflow_player::InitialPoses;
 use pseudoflow_runtime::Graph;

@@ -19,7 +19,12 @@ pub(crate) fn gpu_of_auto() -> Option<BurnDevice> {
 pub(crate) struct BurnEngine;
 
 impl BurnEngine {
-    pub(crate) fn open(_: &Weights, _: &FlowNetwork, _: usize, device: &BurnDevice) -> Result<Box<dyn Engine>, FlowError> {
+    pub(crate) fn open(
+        _: &Weights,
+        _: &FlowNetwork,
+        _: usize,
+        device: &BurnDevice,
+    ) -> Result<Box<dyn Engine>, FlowError> {
         match *device {}
     }
 }

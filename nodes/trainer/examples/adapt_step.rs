@@ -3,11 +3,11 @@
 //! by default nano, 128, 4, 4, 3, 15. The kinds take turns, so that other load on the machine meets all alike.
 #![allow(clippy::print_stdout, reason = "a bench prints its numbers")]
 
+use pseudoflow_learning::{Device, ExtraLoss, FlowBatch, TrainConfig, TrainState};
 use pseudoflow_msgs::{
     AlignedBytes, FlowFields, FlowFieldsHeader, Message, Partner, PseudoLabels, PseudoLabelsHeader, ReferenceViews,
     ReferenceViewsHeader,
 };
-use pseudoflow_learning::{Device, ExtraLoss, FlowBatch, TrainConfig, TrainState};
 use pseudoflow_network::{FlowNetwork, Weights};
 use pseudoflow_trainer::adapt::{AdaptState, Sample, SampleForm, TrainerConfig};
 use rand::{Rng, SeedableRng};

@@ -3,8 +3,8 @@
 use anyhow::{Context as _, Result, anyhow, ensure};
 use pseudoflow_flow::{FlowConfig, FlowNode};
 use pseudoflow_inference::EngineConfig;
+use pseudoflow_learning::{Device, FlowBatch, OpenDevice, RefinerBatch, TrainConfig, TrainState};
 use pseudoflow_msgs::{AlignedBytes, FrameKey, ReferenceViews, ReferenceViewsHeader};
-use pseudoflow_learning::{OpenDevice, Device, FlowBatch, RefinerBatch, TrainConfig, TrainState};
 use pseudoflow_network::{ComputeDevice, FlowNetwork, REFERENCE_CHANNELS, Weights};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use std::path::Path;

@@ -3,8 +3,8 @@
 //! burn and CubeCL report a lost device, a failed kernel or exhausted memory as a panic, or at the next read. State is
 //! kept on the host, so whatever the device held can be computed again, here or on another one.
 
-use pseudoflow_network::{NetworkError, Result};
 use burn::tensor::Device;
+use pseudoflow_network::{NetworkError, Result};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Runs work of a GPU; a panic in it becomes [`NetworkError::DeviceFailed`].

@@ -4,15 +4,15 @@
 //! network was sure already. So labels teach the flow alone: visibility and confidence of the refiner keep what synthetic
 //! pairs, whose truth is whole, taught them.
 
-use pseudoflow_network::Result;
 use crate::flow_network::BuiltFlow;
-use pseudoflow_network::FlowNetwork;
 use crate::guard::guarded_on;
 use crate::loss::{DeviceBatch, FlowBatch, sequence_loss, values};
 use crate::ops;
 use crate::refiner::{DeviceRefinerBatch, Refinement, RefinerBatch, coarse_loss};
 use crate::train::{StepStats, TrainState};
 use burn::tensor::{Device, Tensor, TensorData};
+use pseudoflow_network::FlowNetwork;
+use pseudoflow_network::Result;
 
 /// A loss on the last flows that is computed outside of the network.
 #[derive(Debug, Clone, PartialEq)]

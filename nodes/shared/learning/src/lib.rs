@@ -10,6 +10,8 @@ mod labels;
 mod loss;
 mod memory;
 mod model;
+#[cfg(test)]
+mod onnx_tests;
 pub mod ops;
 mod optim;
 mod raft;

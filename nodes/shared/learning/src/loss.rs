@@ -1,8 +1,8 @@
 //! The supervised sequence loss of RAFT on synthetic pairs (docs/method.md, "Synthetic pre-training").
 
-use pseudoflow_network::{NetworkError, Result};
 use crate::ops;
 use burn::tensor::{Device, Tensor, TensorData};
+use pseudoflow_network::{NetworkError, Result};
 
 /// Flows longer than this (px) are left out, as the authors do.
 pub const MAX_FLOW_PX: f32 = 400.0;

@@ -1,7 +1,12 @@
-use super::*;
-use crate::detector::DetectorConfig;
+//! What the ONNX export writes computes what burn computes.
+
+use crate::Raft;
 use crate::model::Trainable;
 use burn::tensor::Device;
+use pseudoflow_network::{
+    DetectorConfig, ExportOptions, FlowNetwork, NetworkConfig, Pictures, RefinerConfig, Weights, export_detector,
+    export_onnx, export_refiner,
+};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rten_tensor::prelude::*;
@@ -99,7 +104,7 @@ fn detector_equals_burn() {
 
 #[test]
 fn refiner_equals_burn() {
-    let config = crate::RefinerConfig::default();
+    let config = RefinerConfig::default();
     let weights = Weights::random(&config, 7);
     let (size, device) = (64, Device::flex());
     for (batch, n) in [(Some(2), 2), (None, 1)] {
@@ -138,7 +143,7 @@ fn refiner_equals_burn() {
 }
 
 /// Features that a network exports for pictures of this many channels, by rten.
-fn features(network: &crate::FlowNetwork, weights: &Weights, pictures: Pictures, planes: &[f32]) -> Vec<f32> {
+fn features(network: &FlowNetwork, weights: &Weights, pictures: Pictures, planes: &[f32]) -> Vec<f32> {
     let onnx = network.export_features(weights, 64, pictures).unwrap();
     let model = rten::Model::load(onnx).unwrap();
     let tensor = rten_tensor::Tensor::from_data(&[1, planes.len() / (64 * 64), 64, 64], planes.to_vec());
@@ -151,7 +156,7 @@ fn features(network: &crate::FlowNetwork, weights: &Weights, pictures: Pictures,
 
 #[test]
 fn features_of_renderings_know_their_geometry_and_are_else_those_of_photographs() {
-    let network = crate::FlowNetwork::named("refiner").unwrap();
+    let network = FlowNetwork::named("refiner").unwrap();
     let mut weights = Weights::random(&network, 3);
     let [photograph, geometry] = images(1, 64, 5);
     let rendering: Vec<f32> = photograph.iter().chain(&geometry[..2 * 64 * 64]).copied().collect();

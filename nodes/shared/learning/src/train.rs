@@ -1,16 +1,16 @@
 //! A training run: weights, optimiser and step, saved whole so that a resumed run has the bits of an unbroken one.
 
-use pseudoflow_network::NetworkConfig;
-use pseudoflow_network::{NetworkError, Result, io_error};
 use crate::guard::guarded_on;
 use crate::loss::{FlowBatch, device_end_point_error, end_point_error, sequence_loss, values};
 use crate::memory::keep_freed;
 use crate::model::{ByName, Trainable, gradients_with};
-use crate::raft::Raft;
 use crate::optim::{AdamWConfig, Moments, OneCycle, Schedule, adamw, clip_scale, global_norm};
+use crate::raft::Raft;
+use burn::tensor::{Device, Tensor};
+use pseudoflow_network::NetworkConfig;
 use pseudoflow_network::storage::{parse_with, serialize_with, write_atomically};
 use pseudoflow_network::{NamedTensor, Weights};
-use burn::tensor::{Device, Tensor};
+use pseudoflow_network::{NetworkError, Result, io_error};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;

@@ -1,7 +1,7 @@
 use super::photo::{PhotoSample, photo_loss};
 use super::{Sample, TrainerConfig};
 use crate::TrainerError;
-use pseudoflow_learning::{OpenDevice, ExtraLoss, FlowBatch, TrainConfig, TrainState};
+use pseudoflow_learning::{ExtraLoss, FlowBatch, OpenDevice, TrainConfig, TrainState};
 use pseudoflow_network::{FlowNetwork, Weights};
 use std::path::Path;
 

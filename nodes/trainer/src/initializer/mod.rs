@@ -18,7 +18,7 @@ use crate::pretrain::{SHIPPED_WEIGHTS, WarmStart, shipped};
 use crate::synth::SceneGenerator;
 use data::{Prefetch, Source};
 use pseudoflow_imaging::ObjectSet;
-use pseudoflow_learning::{OpenDevice, LossWeights, TrainConfig, TrainState, Trunk};
+use pseudoflow_learning::{LossWeights, OpenDevice, TrainConfig, TrainState, Trunk};
 use pseudoflow_network::{ComputeDevice, DetectorConfig, Grid, NetworkConfig, Weights};
 use serde::Serialize;
 use std::path::{Path, PathBuf};

@@ -51,7 +51,8 @@ impl<M: PairNetwork> Run<M> {
         let path = config.resumed_checkpoint()?;
         ::log::info!("going on from {}", path.display());
         let names: &[&str] = if config.averaged_steps() > 0 { &[AVERAGE] } else { &[] };
-        let (mut state, averages) = TrainState::load_with(&path, network, &OpenDevice::open(config.device)?.device, names)?;
+        let (mut state, averages) =
+            TrainState::load_with(&path, network, &OpenDevice::open(config.device)?.device, names)?;
         state.config = config.train_config();
         let log = RunLog::resumed(config.out.with_extension("csv"), state.step())?;
         let average = averages.into_iter().next().map(|weights| (weights, config.averaged_steps()));

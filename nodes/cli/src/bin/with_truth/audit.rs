@@ -1,8 +1,8 @@
 use crate::audit_node::{AuditConfig, TAUS_AT_256, Tally};
 use crate::truth::TruthFiles;
 use anyhow::{Context as _, Result, ensure};
-use pseudoflow_cli::in_process::{Written, take_out};
 use pseudoflow_cli::graphs::network;
+use pseudoflow_cli::in_process::{Written, take_out};
 use pseudoflow_cli::training::{adapt_graph, look_once};
 use pseudoflow_player::{PlayerConfig, open_recording};
 use pseudoflow_runtime::{Draws, Graph, Stride, read_lines};

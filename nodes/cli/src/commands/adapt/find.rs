@@ -3,8 +3,8 @@
 
 use super::Args;
 use anyhow::{Result, bail, ensure};
-use pseudoflow_cli::in_process::Written;
 use pseudoflow_cli::graphs::network;
+use pseudoflow_cli::in_process::Written;
 use pseudoflow_geometry::{Pose, pose_from_quaternion, rotation_angle_rad};
 use pseudoflow_initializer::CompareConfig;
 use pseudoflow_metrics::{Estimate, ResultsWriter};

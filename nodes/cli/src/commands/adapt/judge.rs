@@ -3,8 +3,8 @@
 
 use super::{Args, training};
 use anyhow::{Context as _, Result, ensure};
-use pseudoflow_cli::in_process::Written;
 use pseudoflow_cli::graphs::network;
+use pseudoflow_cli::in_process::Written;
 use pseudoflow_player::{Sampling, open_recording};
 use pseudoflow_pnp::judge::{JudgedFrame, Verdict};
 use pseudoflow_runtime::{Graph, Stride, read_lines};

@@ -1,5 +1,6 @@
 use super::*;
 use crate::TrainConfig;
+use pseudoflow_network::{CORNERS, Cell, NetworkConfig, SURFACE_UNIT};
 
 pub(crate) fn tiny() -> DetectorConfig {
     DetectorConfig { name: "tiny".into(), input_px: [96, 64], widths: [16, 24], pyramid: 16, objects: 2 }
@@ -155,7 +156,7 @@ fn training_learns_a_scene_and_resumes_with_the_same_bits() {
 
 #[test]
 fn the_trunk_starts_from_raft() {
-    let small = crate::NetworkConfig::small();
+    let small = NetworkConfig::small();
     let raft = Weights::random(&small, 1);
     let config = tiny();
     let weights = Weights::detector_from_raft(&config, &raft, 2).unwrap();
@@ -164,7 +165,7 @@ fn the_trunk_starts_from_raft() {
         raft.get("fnet.layer3.1.conv2.weight").unwrap().data
     );
     assert!(weights.get("class.bias").unwrap().data.iter().all(|v| *v == -4.6));
-    let paper = Weights::random(&crate::NetworkConfig::paper(), 1);
+    let paper = Weights::random(&NetworkConfig::paper(), 1);
     assert!(Weights::detector_from_raft(&config, &paper, 2).unwrap_err().to_string().contains("fnet."));
     assert!(DetectorConfig { input_px: [320, 240], ..config }.check().unwrap_err().to_string().contains("input_px"));
 }

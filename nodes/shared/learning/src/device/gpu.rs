@@ -1,9 +1,9 @@
 //! Devices of CubeCL: which are there, and whether one computes.
 
 use super::{ComputeDevice, OpenDevice};
-use pseudoflow_network::{NetworkError, Result};
 use crate::guard::guarded;
 use burn::tensor::{Device, DeviceType, Tensor};
+use pseudoflow_network::{NetworkError, Result};
 
 #[cfg(feature = "vulkan")]
 pub(super) fn vulkan(number: Option<u16>) -> Result<OpenDevice> {

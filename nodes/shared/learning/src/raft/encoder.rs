@@ -1,10 +1,10 @@
 //! Feature and context encoder: image to features at 1/8.
 
 use super::conv::Conv;
-use pseudoflow_network::Architecture;
 use crate::model::Source;
 use crate::ops;
 use burn::tensor::Tensor;
+use pseudoflow_network::Architecture;
 
 /// Normalisation inside an encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,6 +2,7 @@
 //! intermediate tensors of RAFT-small as its authors trained it.
 
 use super::*;
+use pseudoflow_network::Model as _;
 use pseudoflow_network::NamedTensor;
 use pseudoflow_network::storage::parse;
 use std::collections::BTreeMap;
@@ -76,7 +77,7 @@ fn basic_network_runs_and_has_the_published_size() {
     let mut config = NetworkConfig::paper();
     config.size_px = 64;
     let weights = Weights::random(&config, 7);
-    let trained = config.arch.layout().into_iter().filter(|t| !t.name.contains(".running_"));
+    let trained = config.layout().into_iter().filter(|t| !t.name.contains(".running_"));
     let count: usize = trained.map(|t| t.shape.iter().product::<usize>()).sum();
     // 5,257,536 in the authors' code (their shared norm3 / downsample.1 counted once).
     assert_eq!(count, 5_257_536);

@@ -4,11 +4,11 @@
 //! pair. This is the authors' arithmetic in another order of summation.
 
 use super::conv::Conv;
-use pseudoflow_network::layout::raft::Widths;
-use pseudoflow_network::Architecture;
 use crate::model::Source;
 use crate::ops;
 use burn::tensor::Tensor;
+use pseudoflow_network::Architecture;
+use pseudoflow_network::layout::raft::Widths;
 
 /// The recurrent part with its weights.
 #[derive(Debug)]

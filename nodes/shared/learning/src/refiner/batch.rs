@@ -1,8 +1,8 @@
 //! Synthetic pairs as the refiner's training takes them.
 
-use pseudoflow_network::{NetworkError, REFERENCE_CHANNELS, RefinerConfig, Result};
 use crate::loss::MAX_FLOW_PX;
 use burn::tensor::{Device, Tensor, TensorData};
+use pseudoflow_network::{NetworkError, REFERENCE_CHANNELS, RefinerConfig, Result};
 
 /// Synthetic pairs with what is true of them. Slices are row-major.
 #[derive(Debug, Clone, Copy)]

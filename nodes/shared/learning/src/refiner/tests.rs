@@ -1,8 +1,9 @@
 use super::*;
-use pseudoflow_network::FlowNetwork;
 use crate::labels::ExtraLoss;
 use crate::loss::{FlowBatch, values};
 use crate::train::{TrainConfig, TrainState};
+use pseudoflow_network::FlowNetwork;
+use pseudoflow_network::reference_geometry;
 
 pub(crate) fn tiny() -> RefinerConfig {
     RefinerConfig { name: "tiny".into(), size_px: 64, iterations_train: 2, iterations_infer: 2 }
@@ -145,18 +146,6 @@ fn gradient_of_the_whole_loss_equals_differences() {
     };
     let numeric = (moved(1.0) - moved(-1.0)) / (2.0 * step);
     assert!((numeric / square - 1.0).abs() < 0.03, "{numeric} against {square}");
-}
-
-#[test]
-fn geometry_does_not_depend_on_the_scale() {
-    let depth = [0.0, 1.0, 1.1, f32::NAN, 0.9, 1.0, 0.0, 0.0, 0.0];
-    let mut planes = [9.0; 18];
-    reference_geometry(&depth, 3, 300.0, &mut planes);
-    assert_eq!(planes[9..18], [0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
-    assert!((planes[2] - 2.0 * 0.1 * 300.0 / 3.0).abs() < 1e-3 && planes[0] == 0.0 && planes[3] == 0.0);
-    let mut doubled = [9.0; 18];
-    reference_geometry(&depth.map(|d| 2.0 * d), 3, 300.0, &mut doubled);
-    assert!(planes.iter().zip(doubled).all(|(a, b)| (a - b).abs() < 1e-3));
 }
 
 /// Labels teach the flow; what is seen and what is sure is not theirs to say.

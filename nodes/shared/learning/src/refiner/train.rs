@@ -1,15 +1,15 @@
 //! The refiner's loss on synthetic pairs.
 
 use super::{Refinement, Refiner, RefinerBatch};
-use pseudoflow_network::{RefinerConfig, Result};
 use crate::guard::guarded_on;
 use crate::loss::values;
 use crate::model::Trainable;
 use crate::ops;
 use crate::refiner::batch::DeviceRefinerBatch;
 use crate::train::{StepStats, TrainState};
-use pseudoflow_network::Weights;
 use burn::tensor::{Device, Tensor};
+use pseudoflow_network::Weights;
+use pseudoflow_network::{RefinerConfig, Result};
 
 /// Weight of the visibility's cross entropy in the loss.
 const VISIBILITY_WEIGHT: f32 = 1.0;

@@ -2,7 +2,7 @@
 
 use super::raft::List;
 use crate::config::Architecture;
-use crate::detector::{CORNERS, DetectorConfig, STRIDES};
+use crate::detector::{CORNERS, DetectorConfig};
 use crate::model::{Init, TensorSpec};
 
 /// Names of the tensors, in order. The trunk's are those of RAFT's feature encoder behind another prefix.

@@ -1,7 +1,7 @@
 //! Names, shapes and widths of the refiner's weights.
 
-use crate::model::{Init, TensorSpec};
 use super::raft::List;
+use crate::model::{Init, TensorSpec};
 use crate::refiner::REFERENCE_CHANNELS;
 
 /// Channels of the parts.

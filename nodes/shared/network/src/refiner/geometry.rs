@@ -21,3 +21,20 @@ pub fn reference_geometry(depth_m: &[f32], size_px: usize, focal_px: f64, planes
         (relative[i], mask[i]) = if seen(d) { ((d - mean) * scale, 1.0) } else { (0.0, 0.0) };
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn geometry_does_not_depend_on_the_scale() {
+        let depth = [0.0, 1.0, 1.1, f32::NAN, 0.9, 1.0, 0.0, 0.0, 0.0];
+        let mut planes = [9.0; 18];
+        reference_geometry(&depth, 3, 300.0, &mut planes);
+        assert_eq!(planes[9..18], [0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+        assert!((planes[2] - 2.0 * 0.1 * 300.0 / 3.0).abs() < 1e-3 && planes[0] == 0.0 && planes[3] == 0.0);
+        let mut doubled = [9.0; 18];
+        reference_geometry(&depth.map(|d| 2.0 * d), 3, 300.0, &mut doubled);
+        assert!(planes.iter().zip(doubled).all(|(a, b)| (a - b).abs() < 1e-3));
+    }
+}

@@ -10,7 +10,6 @@
 //! photograph's crop (N, 3, S, S). S is a multiple of 16.
 
 mod geometry;
-pub(crate) mod layout;
 
 pub use geometry::reference_geometry;
 
@@ -78,7 +77,7 @@ impl Model for RefinerConfig {
     }
 
     fn layout(&self) -> Vec<TensorSpec> {
-        layout::layout()
+        crate::layout::refiner::layout()
     }
 
     fn check(&self) -> Result<()> {

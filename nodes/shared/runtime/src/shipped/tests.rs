@@ -2,7 +2,11 @@ use super::*;
 use std::collections::HashMap;
 
 /// What [`Places::choose`] finds with these variables for a binary at `binary`.
-fn choose(variables: &[(&'static str, &Path)], binary: Option<PathBuf>, carried: Option<Unpack>) -> Result<PathBuf, String> {
+fn choose(
+    variables: &[(&'static str, &Path)],
+    binary: Option<PathBuf>,
+    carried: Option<Unpack>,
+) -> Result<PathBuf, String> {
     let values: HashMap<_, _> = variables.iter().map(|(name, value)| (*name, value.as_os_str().to_owned())).collect();
     Places { variable: &|name| values.get(name).cloned(), binary }.choose(carried)
 }
