@@ -35,7 +35,7 @@ enum Command {
     Node(commands::run::NodeArgs),
     /// Trains a network on synthetic renderings of an object set.
     Pretrain(commands::pretrain::Args),
-    /// Trains on recordings without annotations, and keeps the result if it is better.
+    /// Trains on recordings without annotations; keeps what is better.
     Adapt(commands::adapt::Args),
     /// Trains once for every row of a table and every seed, and scores what came out.
     Ablate(commands::ablate::Args),
@@ -43,7 +43,7 @@ enum Command {
     Calibrate(commands::calibrate::Args),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
-    /// Plays a recording in real time into a graph: poses per second, latency, what was right in time.
+    /// Plays a recording in real time into a graph: does this computer keep up?
     Bench(commands::bench::Args),
     /// Times a training step and a look on a device.
     BenchDevice(commands::bench_device::Args),
