@@ -1,4 +1,20 @@
-//! The flow network: RAFT in burn with own CPU kernels, its losses, optimiser, training state and ONNX export.
+//! The networks in burn, with CPU kernels of their own: RAFT (Teed and Deng, ECCV 2020, arXiv 2003.12039), the compact [`Refiner`] for all
+//! objects, and the [`Detector`] that finds objects; their losses, optimiser, training state and ONNX export.
+//!
+//! Begin with [`FlowNetwork`], which knows a network by its name or by its weights, and [`Weights`]. Training: [`TrainState`]. What
+//! runs an exported network: `pseudoflow-inference`.
+//!
+//! ```
+//! use pseudoflow_network::{ExportOptions, FlowNetwork};
+//!
+//! let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../config/weights/refiner.safetensors");
+//! let network = FlowNetwork::of_weights(file.as_ref())?;
+//! assert!(network.is_refiner());
+//! let weights = network.load(file.as_ref())?;
+//! let onnx = network.export(&weights, ExportOptions { size_px: 128, iterations: 4, batch: None })?;
+//! assert!(onnx.len() > 1_000_000);
+//! # Ok::<(), pseudoflow_network::NetworkError>(())
+//! ```
 
 mod config;
 mod detector;
