@@ -2,9 +2,8 @@
 //!
 //!     cargo run --release --example write_a_node
 //!
-//! A node is one type that implements `Node`. It knows no thread, no process and no middleware: the same type runs in this process, as
-//! a process of its own, live and in replay. To give it to everybody, make it a crate in `nodes/` and add `.with::<Reach>()` to
-//! `registry()` in `nodes/cli/src/main.rs`.
+//! A node is one type that implements `Node`. It knows no process and no middleware. To give it to everybody, make it a crate in
+//! `nodes/` and add `.with::<Reach>()` to `registry()` in `nodes/cli/src/main.rs`.
 
 #![allow(clippy::print_stdout, reason = "an example talks to people")]
 
@@ -25,7 +24,6 @@ pub(crate) struct ReachConfig {
     /// How far the robot reaches from its camera, metres.
     reach_m: f64,
 }
-
 pub(crate) struct Reach(ReachConfig);
 
 impl Node for Reach {
@@ -36,20 +34,16 @@ impl Node for Reach {
     fn inputs() -> Vec<PortSpec> {
         vec![FOUND.spec()]
     }
-
     fn outputs() -> Vec<PortSpec> {
         vec![WITHIN_REACH.spec()]
     }
-
     /// What types cannot say; `pseudoflow check` asks before anything starts.
     fn check(config: &ReachConfig) -> Result<(), NodeError> {
         (config.reach_m > 0.0).then_some(()).ok_or_else(|| "`reach_m`: give metres above 0".into())
     }
-
     fn create(config: ReachConfig, _: &Context) -> Result<Self, NodeError> {
         Ok(Self(config))
     }
-
     /// One message goes out for each frame, also when nothing is within reach.
     fn process(&mut self, inputs: &dyn Inputs, outputs: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
         let found = FOUND.read(inputs)?;

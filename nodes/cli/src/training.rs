@@ -39,7 +39,7 @@ pub struct TrainingArgs {
     /// Their folder has the same name, `.adapt`.
     #[arg(long)]
     pub out: PathBuf,
-    /// What trains and labels: auto, cpu, vulkan[:N] or cuda[:N].
+    /// What trains and labels: auto, cpu, `vulkan[:N]` or `cuda[:N]`.
     ///
     /// A training may go on with another one.
     #[arg(long, default_value = "auto")]

@@ -3,7 +3,7 @@
 //!
 //! The teacher predicts one flow for each of n views rendered around an initial pose. Every flow says where the surface
 //! points of its view lie in the real crop; where the views say the same of a point, the flow is taken as a label.
-//! [`votes`] is the algorithm, over plain slices; [`node`] is the thin shell around it.
+//! `votes` is the algorithm, over plain slices; `node` is the thin shell around it.
 //!
 //! Nothing here knows the true pose or the real mask: neither type is among the dependencies.
 //!

@@ -79,7 +79,7 @@ pub(crate) struct Args {
     /// Refinement passes.
     #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 1)]
     passes: u32,
-    /// What computes flow: auto, cpu, vulkan[:N] or cuda[:N].
+    /// What computes flow: auto, cpu, `vulkan[:N]` or `cuda[:N]`.
     #[arg(long, default_value = "auto")]
     device: ComputeDevice,
     /// Engine of the flow network: auto, onnxruntime, rten or burn.

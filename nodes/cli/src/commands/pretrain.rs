@@ -94,7 +94,7 @@ pub(crate) struct Args {
     /// objects; a flow network may be given too).
     #[arg(long)]
     warm_start: Option<PathBuf>,
-    /// What trains: auto, cpu, vulkan[:N] or cuda[:N].
+    /// What trains: auto, cpu, `vulkan[:N]` or `cuda[:N]`.
     ///
     /// A training may go on with another one.
     #[arg(long, default_value = "auto")]
