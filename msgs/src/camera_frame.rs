@@ -43,6 +43,20 @@ impl CameraFrameHeader {
 /// One rectified colour image of the camera.
 ///
 /// Producers: player, bridge. Consumers: renderer, recorder, initializer.
+///
+/// ```
+/// use pseudoflow_msgs::{AlignedBytes, CameraFrame, CameraFrameHeader, Message};
+///
+/// let frame_id = CameraFrameHeader::frame_id_bytes("camera_optical").expect("at most 63 bytes");
+/// let intrinsics = [600.0, 600.0, 0.5, 0.5];
+/// let header = CameraFrameHeader { width: 2, height: 2, scene_id: 0, image_id: 0, intrinsics, frame_id };
+/// let mut bytes = AlignedBytes::zeroed(CameraFrame::byte_len(2, 2));
+/// CameraFrame::write(&mut bytes, header).rgb.fill(200);
+///
+/// let frame = CameraFrame::view(&bytes)?;
+/// assert_eq!((frame.header.frame_id(), frame.rgb.len()), ("camera_optical", 12));
+/// # Ok::<(), pseudoflow_msgs::MalformedMessage>(())
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct CameraFrame<'a> {
     /// Size, camera and names.

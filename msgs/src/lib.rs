@@ -21,6 +21,9 @@
 //! | [`Pictures`] | consistency | recorder |
 //!
 //! At the edges ([`ros`]) the same content is ROS 2 messages: in bags and over DDS.
+//!
+//! Begin with [`ObjectPoses`]; the other messages are written and read alike. A node reads and sends them by its ports
+//! (`pseudoflow_runtime::Port`).
 
 pub mod layout;
 pub mod ros;

@@ -124,6 +124,25 @@ pub struct ObjectPosesHeader {
 ///
 /// Producers: player, initializer (`initial_poses`), pnp, tracker (`poses`; `requests`: the looks that it asks for). Consumers:
 /// renderer, bridge, recorder, evaluator, initializer (the poses of the frames before), tracker (what others have found).
+///
+/// ```
+/// use pseudoflow_msgs::{AlignedBytes, Message, ObjectPose, ObjectPoses, PoseStatus};
+///
+/// let mut mug: ObjectPose = bytemuck::Zeroable::zeroed();
+/// mug.object_id = 7;
+/// mug.status = PoseStatus::Ok as u32;
+/// mug.rotation_xyzw = [0.0, 0.0, 0.0, 1.0];
+/// mug.translation_m = [0.1, 0.0, 0.8];
+///
+/// // One block of bytes, written once: in a graph it lies in shared memory.
+/// let mut bytes = AlignedBytes::zeroed(ObjectPoses::byte_len(1));
+/// ObjectPoses::write(&mut bytes, 0, 0, &[mug]);
+///
+/// // Read in place.
+/// let message = ObjectPoses::view(&bytes)?;
+/// assert_eq!(message.poses, [mug]);
+/// # Ok::<(), pseudoflow_msgs::MalformedMessage>(())
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct ObjectPoses<'a> {
     /// Count and names.

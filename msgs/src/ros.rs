@@ -11,6 +11,18 @@
 //! | `tf2_msgs/TFMessage` | `tf_message` |
 //! | `diagnostic_msgs/DiagnosticArray` | `diagnostics` |
 //! | `vision_msgs/VisionInfo`, `LabelInfo`, `Detection2DArray`, `std_msgs/String` | `vision` |
+//!
+//! ```
+//! use pseudoflow_msgs::ros::{Header, Point, Pose, PoseStamped, RosMessage, Time, from_cdr, to_cdr};
+//!
+//! let header = Header { stamp: Time { sec: 12, nanosec: 0 }, frame_id: "camera_optical".into() };
+//! let pose = Pose { position: Point { x: 0.1, y: 0.0, z: 0.8 }, ..Pose::default() };
+//! let message = PoseStamped { header, pose };
+//! // The bytes that DDS and bags carry.
+//! assert_eq!(from_cdr::<PoseStamped>(&to_cdr(&message)?)?, message);
+//! assert_eq!(PoseStamped::type_name(), "geometry_msgs/msg/PoseStamped");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod camera_info;
 mod cdr;

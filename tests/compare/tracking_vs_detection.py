@@ -54,6 +54,7 @@ def scene_with_black(scene, out, black):
 def graph(args, scene, track, out):
     graph = yaml.safe_load((ROOT / "config/graphs/track.yaml").read_text())
     nodes = graph["nodes"]
+    del graph["params"]  # all settings are given below
     objects = str(args.objects)
     nodes["player"]["config"] = {"source": str(scene), "objects": objects}
     config = {"model": str(args.initializer), "objects": objects}

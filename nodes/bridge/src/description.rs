@@ -3,9 +3,6 @@
 use pseudoflow_edge::Catalogue;
 use std::fmt::Write;
 
-/// Meshes of object sets are in millimetres.
-const MESH_SCALE: &str = "0.001 0.001 0.001";
-
 /// The frames of all `instances` below the optical frame `root`, which joints of type `floating` leave to `/tf`.
 pub(crate) fn urdf(
     catalogue: &Catalogue,
@@ -18,8 +15,10 @@ pub(crate) fn urdf(
     for (object_id, instance) in instances {
         let frame = escaped(&format!("{prefix}{}", catalogue.naming.token(object_id, instance)));
         let visual = catalogue.meshes.get(&object_id).map_or(String::new(), |mesh| {
-            let file = escaped(&mesh.display().to_string());
-            format!("<visual><geometry><mesh filename=\"file://{file}\" scale=\"{MESH_SCALE}\"/></geometry></visual>")
+            let (file, scale) = (escaped(&mesh.path.display().to_string()), mesh.metres_per_unit);
+            format!(
+                "<visual><geometry><mesh filename=\"file://{file}\" scale=\"{scale} {scale} {scale}\"/></geometry></visual>"
+            )
         });
         // Writing into a String cannot fail.
         let _ = writeln!(text, "  <link name=\"{frame}\">{visual}</link>");
@@ -38,6 +37,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pseudoflow_edge::MeshFile;
     use pseudoflow_msgs::ros::Naming;
 
     #[test]
@@ -45,14 +45,14 @@ mod tests {
         let catalogue = Catalogue {
             naming: Naming::new([(5, "soup can".to_owned())].into()).unwrap(),
             folder: "/sets".into(),
-            meshes: [(5, "/sets/a&b/obj_000005.ply".into())].into(),
+            meshes: [(5, MeshFile { path: "/sets/a&b/obj_000005.ply".into(), metres_per_unit: 1e-3 })].into(),
         };
         let text = urdf(&catalogue, "left/", "optical", [(5, 0), (5, 1)].into_iter());
         for expected in [
             "<link name=\"optical\"/>",
             "<link name=\"left/soup_can\">",
             "<child link=\"left/soup_can_1\"/>",
-            "file:///sets/a&amp;b/obj_000005.ply",
+            "file:///sets/a&amp;b/obj_000005.ply\" scale=\"0.001 0.001 0.001\"",
         ] {
             assert!(text.contains(expected), "{text}");
         }

@@ -38,7 +38,7 @@ enum Command {
     Training(commands::trainings::Command),
     /// Writes weights as a standard ONNX file.
     Export(commands::export::Args),
-    /// Plays a recording in real time into a graph: poses per second, latency, what was right in time.
+    /// Plays a recording in real time into a graph: does this computer keep up?
     Bench(commands::bench::Args),
     /// Scores poses on a BOP dataset: refined here, or those of a result file.
     Eval(commands::eval::Args),

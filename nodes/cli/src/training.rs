@@ -1,5 +1,6 @@
 //! A training on recordings: its options, and `config/graphs/adapt.yaml` with them put in.
 
+use crate::RARE;
 use crate::graphs::network;
 use crate::in_process::take_out;
 use anyhow::{Context as _, Result, bail, ensure};
@@ -22,7 +23,9 @@ pub const FIRST_LOOK: [&str; 3] = ["look", "look_flow", "pnp"];
 /// Options of a training, whoever makes its labels.
 #[derive(clap::Args, Debug, Clone)]
 pub struct TrainingArgs {
-    /// Recordings: rosbag2 folders, .mcap files or BOP scenes. Annotations are not needed.
+    /// Recordings: rosbag2 folders, .mcap files or BOP scenes.
+    ///
+    /// Annotations are not needed.
     #[arg(long = "bag", required = true, num_args = 1.., value_parser = pseudoflow_runtime::shipped::input)]
     pub bags: Vec<PathBuf>,
     /// The object set: a BOP `models/` folder.
@@ -31,58 +34,75 @@ pub struct TrainingArgs {
     /// Weights to begin with (.safetensors).
     #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     pub weights: PathBuf,
-    /// The weights to write. Log, checkpoint and report stand in a folder of the same name, `.adapt`.
+    /// The weights to write; log, checkpoint and report stand beside them.
+    ///
+    /// Their folder has the same name, `.adapt`.
     #[arg(long)]
     pub out: PathBuf,
-    /// What trains and labels: auto, cpu, vulkan[:N] or cuda[:N]. A training may go on with another one.
+    /// What trains and labels: auto, cpu, `vulkan[:N]` or `cuda[:N]`.
+    ///
+    /// A training may go on with another one.
     #[arg(long, default_value = "auto")]
     pub device: ComputeDevice,
-    /// Training steps. A hundred take about half an hour on two cores.
+    /// Training steps.
+    ///
+    /// A hundred take about half an hour on two cores.
     #[arg(long, default_value_t = 100)]
     pub steps: u64,
     /// Instances in a step.
-    #[arg(long, default_value_t = 4)]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 4)]
     pub batch: u64,
     /// Updates of the student with the labels of a step, each with other colours.
-    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=64))]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=64))]
     pub repeats: u64,
     /// Rendered views of each instance.
-    #[arg(long, default_value_t = 4)]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 4)]
     pub views: u32,
-    /// The network that the weights belong to: auto (as the weights say), refiner, nano, small or paper.
-    #[arg(long, default_value = "auto")]
+    /// The network that the weights belong to: auto, refiner, nano, small or paper.
+    ///
+    /// `auto`: as the weights say.
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value = "auto")]
     pub network: String,
-    /// Width and height of the crops that the network will see in use, and the student in training, pixels.
+    /// Width and height of the crops that the network will see in use, pixels.
+    ///
+    /// The student trains at this size.
     #[arg(long, default_value_t = 128)]
     pub size: u32,
-    /// Width and height of the crops that are labelled, pixels: `--size` times 1, 2 or 4. Labels are better where the teacher
-    /// looks closer. [default: 256, or `--size` where that is more]
-    #[arg(long)]
+    /// Width and height of the crops that are labelled, pixels.
+    ///
+    /// `--size` times 1, 2 or 4. Labels are better where the teacher looks closer. [default: 256, or `--size` where
+    /// that is more]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     pub label_size: Option<u32>,
-    /// Peak of the one-cycle learning rate; the paper's 4e-4 wants its hundreds of thousands of steps.
-    #[arg(long, default_value_t = 2e-4)]
+    /// Peak of the one-cycle learning rate.
+    ///
+    /// The paper's 4e-4 wants its hundreds of thousands of steps.
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 2e-4)]
     pub max_lr: f64,
-    /// Share of the old teacher in the new one after a step. [default: its memory is a twentieth of the training, and 0.999,
-    /// the paper's, at most]
-    #[arg(long)]
+    /// Share of the old teacher in the new one after a step.
+    ///
+    /// [default: its memory is a twentieth of the training, and 0.999, the paper's, at most]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     pub ema: Option<f64>,
     /// Keeps the teacher of every n-th step, in the folder `teachers` of the training.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     pub keep_every: Option<u64>,
-    /// Uses this many frames of the recordings only; an initializer then searches twice as many.
-    #[arg(long)]
+    /// Uses this many frames of the recordings only.
+    ///
+    /// An initializer then searches twice as many.
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     pub budget_frames: Option<u64>,
     /// Every n-th frame is left out of the training and used to judge it.
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 5)]
     pub held_out_every: u64,
     /// Goes on from the checkpoint of an interrupted training.
     #[arg(long)]
     pub resume: bool,
     /// Only those of these objects.
-    #[arg(long, num_args = 1..)]
+    #[arg(long, help_heading = RARE, hide_short_help = true, num_args = 1..)]
     pub only_objects: Option<Vec<u32>>,
     /// Seed of the run.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 1)]
     pub seed: u64,
 }
 

@@ -74,6 +74,10 @@ pub fn load_dataset(dir: &Path, split: &str, targets: Option<&Path>) -> Result<E
     let models_dir = first_of(&["models_eval", "models", "models_cad"])?;
     // T-LESS has CAD models and reconstructed ones, the latter with colours.
     let render_dir = first_of(&["models", "models_reconst", "models_cad", "models_eval"])?;
+    let info = models_dir.join("models_info.json");
+    if !info.is_file() {
+        return Err(EvalError::NoModelsInfo { path: info });
+    }
     let objects = ObjectSet::load(&models_dir)?;
     let models =
         objects.iter().map(|o| Ok((o.id, EvalModel::new(o)?))).collect::<Result<BTreeMap<_, _>, EvalError>>()?;

@@ -53,6 +53,12 @@ pub enum EvalError {
         /// The dataset's folder.
         dir: PathBuf,
     },
+    /// Nobody states which objects are symmetric.
+    #[error("{path} is not there: without the symmetries that it lists, right poses would be scored as wrong")]
+    NoModelsInfo {
+        /// Where it should be.
+        path: PathBuf,
+    },
     /// An image whose size cannot be read.
     #[error("cannot read the size of {path}: {source}")]
     ImageSize {

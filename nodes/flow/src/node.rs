@@ -31,7 +31,7 @@ pub struct FlowConfig {
     /// At most this many fields in one run of the network.
     #[serde(default = "default_batch")]
     pub max_batch: u32,
-    /// What computes: auto, cpu, vulkan[:N] or cuda[:N]. `auto` takes ONNX Runtime's CUDA where its library has it, else a
+    /// What computes: auto, cpu, `vulkan[:N]` or `cuda[:N]`. `auto` takes ONNX Runtime's CUDA where its library has it, else a
     /// GPU of which this binary knows, else the processor; the log says which. The same bits come out on the processor only.
     #[serde(default)]
     pub device: ComputeDevice,

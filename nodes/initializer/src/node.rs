@@ -310,10 +310,7 @@ impl Node for InitializerNode {
             let cause = "no such file".to_owned();
             return Err(InitializerError::Model { path: config.model.clone(), cause }.into());
         }
-        if !config.objects.join("models_info.json").is_file() {
-            let folder = config.objects.display();
-            return Err(format!("`objects: {folder}`: no models_info.json there: give a BOP models folder").into());
-        }
+        ObjectSet::check(&config.objects)?;
         Ok(())
     }
 

@@ -185,10 +185,7 @@ impl Node for RectangleFinder {
         if config.max_instances == 0 {
             return Err("`max_instances: 0`: give at least 1".into());
         }
-        if !config.objects.join("models_info.json").is_file() {
-            let folder = config.objects.display();
-            return Err(format!("`objects: {folder}`: no models_info.json there: give a BOP models folder").into());
-        }
+        ObjectSet::check(&config.objects)?;
         Ok(())
     }
 

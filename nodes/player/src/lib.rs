@@ -2,6 +2,19 @@
 //!
 //! Two kinds of recordings: rosbag2 mcap ([`BagSource`]) and BOP scene folders ([`BopSource`]). Both give any frame by
 //! its number, as often as asked, so that a frame can be repeated after a consumer's death.
+//!
+//! Begin with [`open_recording`], which looks into recordings of both kinds without playing them:
+//!
+//! ```
+//! use pseudoflow_player::{InitialPoses, PlayerConfig, open_recording};
+//!
+//! let bag = concat!(env!("CARGO_MANIFEST_DIR"), "/../../bags/tabletop_demo");
+//! let initial_poses = InitialPoses { topic: Some("/initial_poses".into()), file: None };
+//! let mut recording = open_recording(&PlayerConfig { initial_poses, ..PlayerConfig::new(bag.into()) })?;
+//! let frame = recording.load(14)?;
+//! assert_eq!((recording.count(), frame.header.width, frame.initial_poses.len()), (15, 640, 5));
+//! # Ok::<(), pseudoflow_player::PlayerError>(())
+//! ```
 
 mod bag_pass;
 mod bag_source;

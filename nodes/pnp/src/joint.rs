@@ -79,10 +79,7 @@ impl Joint {
                 stages => Err(format!("`stages: {stages:?}` needs `objects`: give the BOP models folder").into()),
             };
         };
-        match folder.join("models_info.json").is_file() {
-            true => Ok(()),
-            false => Err(format!("`objects: {}`: no models_info.json there", folder.display()).into()),
-        }
+        Ok(ObjectSet::check(folder)?)
     }
 
     /// `None` for flow alone. Contour models are made where they are not kept yet.

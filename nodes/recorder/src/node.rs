@@ -6,7 +6,7 @@ use crate::overlay::{OverlayConfig, Painter};
 use crate::topics::{Extras, FrameWriter, Topics, jpeg};
 use pseudoflow_edge::Catalogue;
 use pseudoflow_geometry::Intrinsics;
-use pseudoflow_imaging::RgbImage;
+use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_msgs::ros::{Header, Naming, Time};
 use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
 use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
@@ -238,10 +238,8 @@ impl Node for RecorderNode {
         if !(1..=100).contains(&config.jpeg_quality) {
             return Err(format!("`jpeg_quality: {}`: give 1..=100", config.jpeg_quality).into());
         }
-        if let Some(OverlayConfig { objects, .. }) = &config.overlay
-            && !objects.join("models_info.json").is_file()
-        {
-            return Err(format!("`overlay.objects: {}`: no models_info.json there", objects.display()).into());
+        if let Some(OverlayConfig { objects, .. }) = &config.overlay {
+            ObjectSet::check(objects)?;
         }
         if !(config.switch_after_s >= 0.0 && config.switch_after_s.is_finite()) {
             return Err(format!("`switch_after_s: {}`: give seconds from 0 on", config.switch_after_s).into());

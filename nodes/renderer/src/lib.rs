@@ -1,8 +1,8 @@
 //! The renderer node: for each initial pose of a frame, the real crop and `n` renderings of the object at and
 //! around that pose (docs/method.md, steps 2 and 3; paper, eq. 2).
 //!
-//! [`views`] is the algorithm: crop, jitter, rendering, resampling. [`device`] chooses the rasteriser: [`gpu`] or
-//! the software one. [`node`] is the thin shell around them.
+//! `views` is the algorithm: crop, jitter, rendering, resampling. `device` chooses the rasteriser: `gpu` or
+//! the software one. `node` is the thin shell around them.
 
 mod device;
 mod gpu;

@@ -143,10 +143,7 @@ impl Node for RendererNode {
         if !(1.0..=2.0).contains(&config.margin) {
             return Err(format!("`margin: {}`: give 1.0..=2.0", config.margin).into());
         }
-        if !config.objects.join("models_info.json").is_file() {
-            let folder = config.objects.display();
-            return Err(format!("`objects: {folder}`: no models_info.json there: give a BOP models folder").into());
-        }
+        ObjectSet::check(&config.objects)?;
         Ok(())
     }
 

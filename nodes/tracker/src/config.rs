@@ -1,3 +1,4 @@
+use pseudoflow_imaging::ObjectSet;
 use pseudoflow_runtime::NodeError;
 use pseudoflow_tracking::TrackingConfig;
 use schemars::JsonSchema;
@@ -62,10 +63,7 @@ impl TrackerNodeConfig {
         if !(0.0..=1.0).contains(&self.look_score) {
             return Err(format!("`look_score: {}`: give 0 to 1", self.look_score).into());
         }
-        if !self.objects.join("models_info.json").is_file() {
-            let folder = self.objects.display();
-            return Err(format!("`objects: {folder}`: no models_info.json there: give a BOP models folder").into());
-        }
+        ObjectSet::check(&self.objects)?;
         match &self.expected {
             Some(ids) if ids.is_empty() => Err("`expected: []`: name at least one object, or leave it out".into()),
             _ => Ok(()),

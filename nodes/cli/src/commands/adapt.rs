@@ -8,6 +8,7 @@ mod report;
 mod training;
 
 use anyhow::{Context as _, Result};
+use pseudoflow_cli::RARE;
 use pseudoflow_cli::training::TrainingArgs;
 use pseudoflow_player::PlayerConfig;
 use pseudoflow_runtime::{Graph, supervisor};
@@ -18,20 +19,26 @@ use std::process::ExitCode;
 pub(crate) struct Args {
     #[command(flatten)]
     training: TrainingArgs,
-    /// Initial poses: a topic (`/initial_poses`), a BOP result file (.csv), a file as `init_poses.json`, or the weights of an
-    /// initializer (.safetensors), which then searches every frame. BOP scenes bring their own.
+    /// Initial poses: a topic, a file, or the weights of an initializer.
+    ///
+    /// A topic (`/initial_poses`), a BOP result file (.csv), a file as `init_poses.json`, or an initializer
+    /// (.safetensors), which then searches every frame. BOP scenes bring their own.
     #[arg(long)]
     init: Option<String>,
     #[command(flatten)]
     labels: LabelArgs,
-    /// Records samples and labels as topics (rosbag2 folder): rendering, crop, flow, sigma, valid labels.
+    /// Records samples and labels as topics, a rosbag2 folder.
+    ///
+    /// Rendering, crop, flow, sigma, valid labels.
     #[arg(long)]
     record: Option<PathBuf>,
-    /// Writes OUT without a look at the held-out frames, for those who measure otherwise.
-    #[arg(long)]
+    /// Writes OUT without a look at the held-out frames.
+    ///
+    /// For those who measure otherwise.
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     unjudged: bool,
     /// Folder of the report; without: that of the training.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     report: Option<PathBuf>,
 }
 
@@ -39,29 +46,39 @@ pub(crate) struct Args {
 #[derive(clap::Args, Debug, Clone)]
 pub(crate) struct LabelArgs {
     /// Other frames that the photometric loss compares with.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, help_heading = LABELLING, hide_short_help = true, default_value_t = 1)]
     partners: u32,
-    /// Largest disagreement of a label between the views, pixels of a 256 px crop. The paper's 1 wants a teacher that is good
-    /// already.
-    #[arg(long, default_value_t = 2.0)]
+    /// Largest disagreement of a label between the views, pixels of a 256 px crop.
+    ///
+    /// The paper's 1 wants a teacher that is good already.
+    #[arg(long, help_heading = LABELLING, hide_short_help = true, default_value_t = 2.0)]
     tau: f32,
     /// Weight of the flow loss.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, help_heading = LABELLING, hide_short_help = true, default_value_t = 1.0)]
     flow_weight: f64,
     /// Weight of the photometric loss.
-    #[arg(long, default_value_t = 0.5)]
+    #[arg(long, help_heading = LABELLING, hide_short_help = true, default_value_t = 0.5)]
     photo_weight: f64,
-    /// Accepts every label of the teacher, whether or not the views agree (the paper's baseline).
-    #[arg(long)]
+    /// Accepts every label of the teacher, whether or not the views agree.
+    ///
+    /// The paper's baseline.
+    #[arg(long, help_heading = LABELLING, hide_short_help = true)]
     accept_all_labels: bool,
-    /// Renders the views around the initial poses as they are, instead of those that the teacher finds from them.
-    #[arg(long)]
+    /// Renders the views around the initial poses as they are.
+    ///
+    /// Instead of those that the teacher finds from them.
+    #[arg(long, help_heading = LABELLING, hide_short_help = true)]
     single_look: bool,
-    /// What a label is: the teacher's flow in each view (`teacher_flow`; paper, eq. 5), the mean of all views' votes, or
-    /// where the one motion that explains most votes takes the pixel.
-    #[arg(long, default_value = "rigid", value_parser = LABELS)]
+    /// What a label is.
+    ///
+    /// The teacher's flow in each view (`teacher_flow`; paper, eq. 5), the mean of all views' votes, or where the one
+    /// motion that explains most votes takes the pixel.
+    #[arg(long, help_heading = LABELLING, hide_short_help = true, default_value = "rigid", value_parser = LABELS)]
     label: String,
 }
+
+/// Heading of the options about labels, which `-h` leaves out, too.
+const LABELLING: &str = "Labels, and what is learned from them";
 
 /// The labels of [`pseudoflow_consistency::Label`], as in a graph file.
 const LABELS: [&str; 3] = ["teacher_flow", "mean_vote", "rigid"];

@@ -5,7 +5,7 @@ mod beside;
 pub(super) mod played;
 
 use super::run::read_graph;
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result};
 use beside::Beside;
 use pseudoflow_evaluator::live::{Expectation, LiveReport};
 use pseudoflow_imaging::ObjectSet;
@@ -18,7 +18,9 @@ pub(crate) struct Args {
     /// What is played: a rosbag2 folder, an .mcap file, or a BOP scene folder.
     #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     source: PathBuf,
-    /// Folder of the object set; takes the place of `objects` in every node of the graph.
+    /// Folder of the object set.
+    ///
+    /// It takes the place of `objects` in every node of the graph.
     #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     objects: PathBuf,
     /// Scores against the ground truth of this BOP scene folder.
@@ -42,7 +44,9 @@ pub(crate) struct Args {
     /// Folder for `report.json`, `report.html` and what the run leaves behind.
     #[arg(long)]
     report: PathBuf,
-    /// The graph; its camera or player becomes the recording, and what publishes or records becomes a stopwatch.
+    /// The graph; its camera or player becomes the recording.
+    ///
+    /// What publishes or records becomes a stopwatch.
     #[arg(long, default_value = "config/graphs/live_track.yaml", value_parser = pseudoflow_runtime::shipped::input)]
     graph: PathBuf,
     /// Overrides, as for `run`.
@@ -52,7 +56,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     let models = &args.objects;
-    ensure!(models.join("models_info.json").is_file(), "--objects {}: no BOP models folder", models.display());
+    ObjectSet::check(models).context("--objects")?;
     // Wrong truth should not be found out after the recording was played.
     let expectation = expectation(args)?;
     let (objects, arrivals) = (ObjectSet::load(models)?, args.report.join("arrivals.jsonl"));

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// What computes: auto, cpu, vulkan[:N] or cuda[:N].
+    /// What computes: auto, cpu, `vulkan[:N]` or `cuda[:N]`.
     #[arg(long, default_value = "auto")]
     device: ComputeDevice,
     /// Networks, by name.

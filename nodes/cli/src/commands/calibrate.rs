@@ -23,10 +23,14 @@ use std::process::ExitCode;
 
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Meshes to calibrate with: BOP `models` folders. Plain and textured ones, and none of those that it will be tested with.
+    /// Meshes to calibrate with: BOP `models` folders.
+    ///
+    /// Plain and textured ones, and none of those that it will be tested with.
     #[arg(long, required = true, num_args = 1.., value_parser = pseudoflow_runtime::shipped::input)]
     objects: Vec<PathBuf>,
-    /// Weights of the flow network: `.safetensors` or `.onnx`. `--stages region` needs none.
+    /// Weights of the flow network; `--stages region` needs none.
+    ///
+    /// `.safetensors` or `.onnx`.
     #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     weights: Option<PathBuf>,
     /// The network that the weights belong to: nano, small or paper.
@@ -35,10 +39,14 @@ pub(crate) struct Args {
     /// What poses are solved from: flow, region (the contour alone) or joint.
     #[arg(long, default_value = "flow")]
     stages: String,
-    /// Refinements to make and learn from; 0 to learn from `--samples` alone.
+    /// Refinements to make and learn from.
+    ///
+    /// 0 to learn from `--samples` alone.
     #[arg(long, default_value_t = 3000)]
     pairs: usize,
-    /// Width and height of the crops, pixels; several share the refinements.
+    /// Width and height of the crops, pixels.
+    ///
+    /// Several share the refinements.
     #[arg(long, value_delimiter = ',', default_value = "256")]
     size: Vec<u32>,
     /// Iterations of the network.
@@ -50,8 +58,10 @@ pub(crate) struct Args {
     /// Seed of the scenes and of the rough poses.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// The model to write; `gate.model` of pnp names it. Other stages stay as they are in it, or as in the binary where there is
-    /// no such file yet. The samples go beside it, `.STAGES.samples.jsonl`.
+    /// The model to write; `gate.model` of pnp names it.
+    ///
+    /// Other stages stay as they are in it, or as in the binary where there is no such file yet. The samples go beside
+    /// it, `.STAGES.samples.jsonl`.
     #[arg(long)]
     out: PathBuf,
     /// Samples of earlier runs to fit with too.

@@ -7,6 +7,7 @@ mod table;
 use anyhow::{Context as _, Result, bail, ensure};
 pub(crate) use compare::{CompareArgs, compare};
 use graph::Files;
+use pseudoflow_cli::RARE;
 use pseudoflow_cli::in_process::Written;
 use pseudoflow_cli::progress::progress_bar;
 use pseudoflow_evaluator::results::{details_of_estimates, read_details};
@@ -23,76 +24,98 @@ pub(crate) struct Args {
     /// The dataset: a folder with `models/` and splits, as BOP lays them out.
     #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     dataset: PathBuf,
-    /// The split: a folder of the dataset, e.g. `test`, or `test_primesense` of T-LESS.
+    /// The split: a folder of the dataset.
+    ///
+    /// E.g. `test`, or `test_primesense` of T-LESS.
     #[arg(long, default_value = "test")]
     split: String,
-    /// Weights to refine with: `.safetensors` or `.onnx`. Without them, what the initializer finds, or else `--csv`, is scored.
+    /// Weights to refine with: `.safetensors` or `.onnx`.
+    ///
+    /// Without them, what the initializer finds, or else `--csv`, is scored.
     #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     weights: Option<PathBuf>,
-    /// Meshes to render, a BOP `models` folder; without: the dataset's with textures or colours.
-    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
+    /// Meshes to render, a BOP `models` folder.
+    ///
+    /// Without: the dataset's with textures or colours.
+    #[arg(long, help_heading = RARE, hide_short_help = true, value_parser = pseudoflow_runtime::shipped::input)]
     objects: Option<PathBuf>,
-    /// Initial poses: a BOP result file (.csv), or the weights of an initializer (.safetensors), which is then run on every
-    /// image. The default is each scene's `init_poses.json`.
+    /// Initial poses: a BOP result file, or the weights of an initializer.
+    ///
+    /// An initializer (.safetensors) is run on every image. The default is each scene's `init_poses.json`.
     #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     init: Option<PathBuf>,
-    /// Weights of a flow network in whose feature space the initializer compares the objects, rendered from all sides, with
-    /// the image.
-    #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
+    /// Weights of a flow network in whose features the initializer compares.
+    ///
+    /// The objects, rendered from all sides, are compared with the image.
+    #[arg(long, help_heading = RARE, hide_short_help = true, value_parser = pseudoflow_runtime::shipped::input)]
     init_compare: Option<PathBuf>,
     /// The network that the initializer's weights belong to: nano, full or a YAML file.
-    #[arg(long, default_value = "nano")]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value = "nano")]
     init_network: String,
     /// A target list such as `test_targets_bop19.json`.
     #[arg(long)]
     targets: Option<PathBuf>,
-    /// The result file, METHOD_DATASET-SPLIT.csv: written when weights are given, else read.
+    /// The result file, METHOD_DATASET-SPLIT.csv.
+    ///
+    /// Written when weights are given, else read.
     #[arg(long)]
     csv: PathBuf,
     /// Folder for `report.json` and `report.html`.
     #[arg(long)]
     report: Option<PathBuf>,
-    /// The network that the weights belong to: auto (as the weights say), refiner, nano, small or paper.
-    #[arg(long, default_value = "auto")]
+    /// The network that the weights belong to: auto, refiner, nano, small or paper.
+    ///
+    /// `auto`: as the weights say.
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value = "auto")]
     network: String,
-    /// Width and height of the crops, pixels; several, for one pass after the other (`128,256`): the last one goes on.
+    /// Width and height of the crops, pixels.
+    ///
+    /// Several, for one pass after the other (`128,256`): the last one goes on.
     #[arg(long, value_delimiter = ',', default_value = "128")]
     size: Vec<u32>,
     /// Iterations of the network.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     iterations: Option<u32>,
     /// Refinement passes.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 1)]
     passes: u32,
-    /// What computes flow: auto, cpu, vulkan[:N] or cuda[:N].
+    /// What computes flow: auto, cpu, `vulkan[:N]` or `cuda[:N]`.
     #[arg(long, default_value = "auto")]
     device: ComputeDevice,
     /// Engine of the flow network: auto, onnxruntime, rten or burn.
-    #[arg(long, default_value = "auto")]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value = "auto")]
     backend: String,
     /// ONNX Runtime's library; else `ORT_DYLIB_PATH`, as everywhere.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     onnxruntime: Option<PathBuf>,
-    /// The gate's model, a file that `pseudoflow calibrate` wrote; without it that of the binary.
-    #[arg(long, conflicts_with = "no_gate", value_parser = pseudoflow_runtime::shipped::input)]
+    /// The gate's model, a file that `pseudoflow calibrate` wrote.
+    ///
+    /// Without it that of the binary.
+    #[arg(long, help_heading = RARE, hide_short_help = true, conflicts_with = "no_gate", value_parser = pseudoflow_runtime::shipped::input)]
     gate: Option<PathBuf>,
-    /// Smallest probability of being better for a refined pose to be accepted, 0..1.
-    #[arg(long, conflicts_with = "no_gate")]
+    /// Smallest probability of being better for a refined pose to be accepted.
+    ///
+    /// 0..1.
+    #[arg(long, help_heading = RARE, hide_short_help = true, conflicts_with = "no_gate")]
     min_better: Option<f64>,
-    /// What poses are solved from: flow, region (the contour alone; needs no weights) or joint (flow, contour and rough pose).
+    /// What poses are solved from: flow, region or joint.
+    ///
+    /// `region`: the contour alone, needs no weights. `joint`: flow, contour and rough pose.
     #[arg(long, default_value = "flow")]
     stages: String,
     /// Accept every refined pose, also those that the gate would refuse.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     no_gate: bool,
     /// Go on with the `.part` file of an interrupted evaluation.
     #[arg(long)]
     resume: bool,
     /// Seed of the run.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 1)]
     seed: u64,
-    /// Objects to report without, too, `7` or `7,3`: those whose mesh is too coarse to judge by, say.
-    #[arg(long, value_delimiter = ',', value_name = "ID")]
+    /// Objects to report without, too, `7` or `7,3`.
+    ///
+    /// Those whose mesh is too coarse to judge by, say.
+    #[arg(long, help_heading = RARE, hide_short_help = true, value_delimiter = ',', value_name = "ID")]
     exclude_objects: Vec<u32>,
     /// Only every n-th image of the split, for a quick look.
     #[arg(long, default_value_t = 1, value_name = "N")]

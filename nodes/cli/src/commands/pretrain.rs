@@ -1,5 +1,6 @@
 use super::frames::picture_folders;
 use anyhow::{Context as _, Result, bail};
+use pseudoflow_cli::RARE;
 use pseudoflow_imaging::{RgbImage, save_png};
 use pseudoflow_network::ComputeDevice;
 use pseudoflow_trainer::initializer::{InitializerTraining, scene_sheet, train_initializer};
@@ -25,69 +26,88 @@ pub(crate) struct Args {
     /// Which network to train.
     #[arg(long, value_enum, default_value = "flow")]
     stage: Stage,
-    /// The objects: BOP `models/` folders. One network is trained for all of them (initializer: one folder).
+    /// The objects: BOP `models/` folders.
+    ///
+    /// One network is trained for all of them (initializer: one folder).
     #[arg(long, value_delimiter = ',', required = true, value_name = "DIR[,DIR...]", value_parser = pseudoflow_runtime::shipped::input)]
     objects: Vec<PathBuf>,
-    /// refiner, nano, small, paper (initializer: nano, full), or a YAML file as in config/networks.
+    /// refiner, nano, small, paper, or a YAML file as in config/networks.
+    ///
+    /// Initializer: nano or full.
     #[arg(long, default_value = "nano")]
     network: String,
-    /// Flow: photographs for walls, tables and cards of the scenes, without any annotation: folders of pictures (and the
+    /// Flow: pictures or recordings to put behind the objects.
+    ///
+    /// Photographs for walls, tables and cards of the scenes, without any annotation: folders of pictures (and the
     /// folders in them), or recordings (bags), whose frames are copied to a folder beside `--out`.
     #[arg(long, value_delimiter = ',', value_name = "DIR|BAG[,...]", value_parser = pseudoflow_runtime::shipped::input)]
     backgrounds: Vec<PathBuf>,
-    /// Flow: leaves out meshes and pictures that their folder's `meta.json` does not release for shipping.
-    #[arg(long)]
+    /// Flow: leaves out what `meta.json` does not release for shipping.
+    ///
+    /// Meshes and pictures; `meta.json` lies in their folders.
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     only_shippable: bool,
-    /// Flow: what the synthetic pairs look like, a YAML or JSON file with any of the keys of `SynthConfig`. `--preview`
-    /// shows what comes out.
-    #[arg(long, value_name = "FILE")]
+    /// Flow: what the synthetic pairs look like, YAML or JSON.
+    ///
+    /// Any of the keys of `SynthConfig`. `--preview` shows what comes out.
+    #[arg(long, help_heading = RARE, hide_short_help = true, value_name = "FILE")]
     synth: Option<PathBuf>,
-    /// The weights to write (.safetensors). Log, plot and checkpoint stand beside them.
+    /// The weights to write (.safetensors); log, plot and checkpoint stand beside.
     #[arg(long)]
     out: PathBuf,
     /// Optimiser steps.
     #[arg(long)]
     steps: Option<u64>,
-    /// Refiner: the learning rate falls over the last so many steps. With `--resume` and more `--steps` the training goes on from
-    /// before that.
-    #[arg(long)]
+    /// Refiner: the learning rate falls over the last so many steps.
+    ///
+    /// With `--resume` and more `--steps` the training goes on from before that.
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     cool_down: Option<u64>,
-    /// Every n-th object is kept out of the training; the error on renderings of these is the learning curve.
-    #[arg(long, value_name = "N")]
+    /// Keeps every n-th object out of the training, and measures on it.
+    ///
+    /// The error on renderings of these is the learning curve.
+    #[arg(long, help_heading = RARE, hide_short_help = true, value_name = "N")]
     hold_out: Option<usize>,
     /// Steps between checkpoints.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     checkpoint_every: Option<u64>,
     /// Pairs (initializer: images) in a step.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     batch: Option<usize>,
-    /// Flow: crop sizes to train at, each with how often it comes; a step of larger crops has fewer. RAFT trains at its own size,
-    /// the refiner at 128 and 256:2.
-    #[arg(long, value_delimiter = ',', value_name = "PX[:WEIGHT][,...]")]
+    /// Flow: crop sizes to train at, each with how often it comes.
+    ///
+    /// A step of larger crops has fewer. RAFT trains at its own size, the refiner at 128 and 256:2.
+    #[arg(long, help_heading = RARE, hide_short_help = true, value_delimiter = ',', value_name = "PX[:WEIGHT][,...]")]
     sizes: Vec<SizeShare>,
-    /// Initializer: scenes that are rendered before they are used in changing order; a multiple of `--batch`.
-    #[arg(long)]
+    /// Initializer: scenes that are used in changing order; a multiple of `--batch`.
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     block: Option<u64>,
     /// Peak of the one-cycle learning rate.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     max_lr: Option<f64>,
     /// Seed of data and fresh weights.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, help_heading = RARE, hide_short_help = true, default_value_t = 0)]
     seed: u64,
-    /// Weights to start from; `random` for none. The default is RAFT-small as its authors trained it (initializer: that of
-    /// this repository, which knows other objects; a flow network may be given too).
+    /// Weights to start from; `random` for none.
+    ///
+    /// The default is RAFT-small as its authors trained it (initializer: that of this repository, which knows other
+    /// objects; a flow network may be given too).
     #[arg(long, value_parser = pseudoflow_runtime::shipped::input)]
     warm_start: Option<PathBuf>,
-    /// What trains: auto, cpu, vulkan[:N] or cuda[:N]. A training may go on with another one.
+    /// What trains: auto, cpu, `vulkan[:N]` or `cuda[:N]`.
+    ///
+    /// A training may go on with another one.
     #[arg(long, default_value = "auto")]
     device: ComputeDevice,
     /// Goes on from the checkpoint.
     #[arg(long)]
     resume: bool,
     /// Threads that render beside the training.
-    #[arg(long)]
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
     data_threads: Option<usize>,
-    /// Only writes a sheet of samples to this PNG (flow: reference, real-like, flow, warped).
+    /// Only writes a sheet of samples to this PNG.
+    ///
+    /// Flow: reference, real-like, flow, warped.
     #[arg(long, value_name = "FILE.png")]
     preview: Option<PathBuf>,
 }

@@ -10,10 +10,12 @@ pub(crate) struct GraphArgs {
     /// The graph, a YAML file.
     #[arg(value_parser = shipped::input)]
     graph: PathBuf,
-    /// Overrides: a parameter of the graph (`size_px=256`), a node's setting (`player.source=my.mcap`), or `window=8`.
+    /// Overrides: `size_px=256`, `player.source=my.mcap`, `window=8`.
+    ///
+    /// A parameter of the graph, a node's setting, or a setting of the graph itself.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
-    /// Nodes to leave out: an `evaluator` where there is no truth, a `recorder`.
+    /// Nodes to leave out: an `evaluator` where there is no truth.
     #[arg(long, value_name = "NODE", value_delimiter = ',')]
     without: Vec<String>,
 }
@@ -25,7 +27,9 @@ pub(crate) struct Args {
     /// Folder for what the run leaves behind.
     #[arg(long, default_value = "out/run")]
     out: PathBuf,
-    /// Run all nodes in this process, one after the other: the same results, slower, and easy to debug. Replay graphs only.
+    /// Run all nodes in this process, one after the other. Replay graphs only.
+    ///
+    /// The same results, slower, and easy to debug.
     #[arg(long)]
     in_process: bool,
     /// Goes on under `RMW_IMPLEMENTATION=rmw_zenoh_cpp`, whose nodes do not hear DDS.

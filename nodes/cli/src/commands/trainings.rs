@@ -9,7 +9,7 @@ use std::process::ExitCode;
 pub(crate) enum Command {
     /// Trains a network on synthetic renderings of an object set.
     Pretrain(pretrain::Args),
-    /// Trains on recordings without annotations, and keeps the result if it is better.
+    /// Trains on recordings without annotations; keeps what is better.
     Adapt(adapt::Args),
     /// Trains once for every row of a table and every seed, and scores what came out.
     Ablate(ablate::Args),

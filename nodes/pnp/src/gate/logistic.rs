@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// `p = 1 / (1 + exp(-z))`, `z = bias + sum weight (feature - mean) / scale`, each standardised value kept within
-/// [`LIMIT`], so that nothing outside what was fitted runs away. An unknown feature counts as its mean.
+/// `LIMIT`, so that nothing outside what was fitted runs away. An unknown feature counts as its mean.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Logistic {

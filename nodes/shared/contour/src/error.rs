@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-/// What is wrong with the arguments of a call. What the picture does not say is a [`crate::Status`] instead.
+/// What is wrong with the arguments of a call. What the picture does not say is a [`RegionStatus`](crate::RegionStatus) instead.
 #[derive(Debug, thiserror::Error)]
 pub enum ContourError {
     /// No model can be made of a mesh.

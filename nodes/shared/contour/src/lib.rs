@@ -14,6 +14,38 @@
 //! - Lines inside the silhouette of a nearer known object ([`Hider`]) are not used.
 //!
 //! Frames, units, tangents: `pseudoflow-geometry` and `pseudoflow-solver`. No middleware, clock or random source.
+//!
+//! Begin with [`ContourModel`] and [`Refiner`]:
+//!
+//! ```
+//! use nalgebra::Vector3;
+//! use pseudoflow_contour::{ContourModel, Image, ModelSettings, Refiner, RegionConfig, Task};
+//! use pseudoflow_geometry::{Intrinsics, Pose};
+//! use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser, View};
+//! use pseudoflow_imaging::shapes::cuboid;
+//! use std::sync::Arc;
+//!
+//! // A picture of a red box, half a metre away.
+//! let mesh = Arc::new(cuboid([0.10, 0.06, 0.08], [200, 40, 40])?);
+//! let truth = Pose::new(Vector3::new(0.0, 0.0, 0.5), Vector3::new(0.6, 0.5, 0.0));
+//! let intrinsics = Intrinsics { fx: 500.0, fy: 500.0, cx: 159.5, cy: 119.5 };
+//! let mut rasteriser = SoftwareRasteriser::new();
+//! rasteriser.add_object(1, &mesh)?;
+//! let view = View { object_id: 1, camera_from_object: truth, intrinsics, width: 320, height: 240 };
+//! let picture = rasteriser.render(&[view])?.remove(0).rgb;
+//!
+//! let model = ContourModel::new(&mesh, &ModelSettings::default())?;
+//! let mut refiner = Refiner::new(RegionConfig::default())?;
+//! let rough = Pose::translation(0.008, -0.004, 0.02) * truth;
+//! let prior = refiner.prior(&rough, &model, mesh.diameter_m());
+//! let task = Task { image: Image { rgb: &picture, intrinsics }, model: &model, prior: &prior, hiders: &[] };
+//! let found = refiner.refine(&task, &[rough], None);
+//!
+//! assert!(found.status.is_ok(), "{}", found.status);
+//! let off_m = (found.camera_from_object.translation.vector - truth.translation.vector).norm();
+//! assert!(off_m < 0.006, "{off_m} m; the rough pose is off by 0.022 m");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod cache;
 mod config;

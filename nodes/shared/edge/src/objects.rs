@@ -1,4 +1,4 @@
-use pseudoflow_imaging::{ImagingError, ObjectSet};
+use pseudoflow_imaging::{ImagingError, MeshFile, ObjectSet};
 use pseudoflow_msgs::ros::{Naming, NamingError, ObjectBox};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -25,8 +25,8 @@ pub struct Catalogue {
     pub naming: Naming,
     /// Folder of the set; empty without one.
     pub folder: PathBuf,
-    /// File of each mesh, absolute, millimetres.
-    pub meshes: BTreeMap<u32, PathBuf>,
+    /// The mesh of each object, an absolute path.
+    pub meshes: BTreeMap<u32, MeshFile>,
 }
 
 /// Why an object set cannot be named.
@@ -53,9 +53,10 @@ impl Catalogue {
     pub fn load(folder: &Path) -> Result<Self, CatalogueError> {
         let set = ObjectSet::load(folder)?;
         let naming = naming_of(&set).map_err(|source| CatalogueError::Names { folder: folder.to_owned(), source })?;
-        let folder = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
-        let meshes = set.ids().into_iter().map(|id| (id, folder.join(format!("obj_{id:06}.ply")))).collect();
-        Ok(Self { naming, folder, meshes })
+        let absolute = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let mesh = |file: &MeshFile| MeshFile { path: absolute(&file.path), ..*file };
+        let meshes = set.iter().filter_map(|object| Some((object.id, mesh(object.mesh_file.as_ref()?)))).collect();
+        Ok(Self { naming, folder: absolute(folder), meshes })
     }
 
     /// As [`Self::load`]; without a folder, objects have their ids for names.
@@ -71,7 +72,7 @@ impl Catalogue {
     #[must_use]
     pub fn version(&self, weights: &[PathBuf]) -> i32 {
         let about = ["models_info.json", "names.json"].map(|name| self.folder.join(name));
-        let files = self.meshes.values().chain(weights).chain(&about);
+        let files = self.meshes.values().map(|mesh| &mesh.path).chain(weights).chain(&about);
         let changed_s = |path: &PathBuf| {
             let changed = std::fs::metadata(path).and_then(|about| about.modified()).ok()?;
             i32::try_from(changed.duration_since(UNIX_EPOCH).ok()?.as_secs()).ok()
@@ -121,7 +122,7 @@ mod tests {
     #[test]
     fn a_catalogue_has_names_meshes_and_a_version() {
         let catalogue = Catalogue::load(&tabletop()).unwrap();
-        assert!(catalogue.meshes.values().all(|mesh| mesh.is_file() && mesh.is_absolute()));
+        assert!(catalogue.meshes.values().all(|mesh| mesh.path.is_file() && mesh.path.is_absolute()));
         assert!(catalogue.naming.named().all(|(_, name)| !name.starts_with("obj_")));
         let newer = tempfile::NamedTempFile::new().unwrap();
         let version = catalogue.version(&[]);

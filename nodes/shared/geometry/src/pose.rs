@@ -84,6 +84,14 @@ pub fn rotation_angle_rad(a: &Pose, b: &Pose) -> f64 {
 }
 
 /// Exponential map of SE(3). Tangent order as in ROS covariances: translation (m) first, rotation (rad) second.
+///
+/// ```
+/// use nalgebra::Vector6;
+/// use pseudoflow_geometry::{exp_se3, log_se3};
+///
+/// let tangent = Vector6::new(0.1, 0.0, -0.2, 0.0, 0.5, 0.0);
+/// assert!((log_se3(&exp_se3(&tangent)) - tangent).norm() < 1e-12);
+/// ```
 #[must_use]
 pub fn exp_se3(tangent: &Vector6<f64>) -> Pose {
     let rho = Vector3::new(tangent[0], tangent[1], tangent[2]);

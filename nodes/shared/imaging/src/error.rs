@@ -47,9 +47,27 @@ pub enum ImagingError {
         /// The mesh.
         path: PathBuf,
     },
+    /// A folder without objects.
+    #[error(
+        "{path}: no objects: expected models_info.json or a mesh named obj_000001.ply or obj_000001.obj; meshes there: {meshes:?}"
+    )]
+    NoObjects {
+        /// The folder.
+        path: PathBuf,
+        /// Meshes of other names.
+        meshes: Vec<String>,
+    },
+    /// `models_info.json` lists an object without a mesh.
+    #[error("{path}: models_info.json lists object {id}, but there is neither obj_{id:06}.ply nor obj_{id:06}.obj")]
+    NoMesh {
+        /// The folder.
+        path: PathBuf,
+        /// The object.
+        id: u32,
+    },
     /// The object is too small or too large to be meant.
     #[error(
-        "{path}: field `{field}`: the object's diameter is {diameter_m} m, outside 0.005 m .. 5 m (wrong unit?); BOP PLY files and models_info.json are in millimetres, OBJ files in metres"
+        "{path}: field `{field}`: the object's diameter is {diameter_m} m, outside 0.005 m .. 5 m (wrong unit?); models_info.json is in millimetres, and so is a mesh unless models_info.json states its unit: {{\"1\": {{\"mesh_unit\": \"m\"}}}}"
     )]
     Diameter {
         /// The mesh or models_info.json.

@@ -1,19 +1,44 @@
-use crate::{ImagingError, Mesh, MeshParts, files::load_rgb};
+//! Wavefront OBJ, as Blender, scanners and CAD programs export it.
+
+use crate::{ImagingError, Mesh, MeshParts, RgbImage, files::load_rgb};
 use std::cell::Cell;
+use std::collections::BTreeSet;
 use std::io::Cursor;
 use std::path::{Component, Path};
+use tobj::{Material, Model};
 
 /// Material files of one OBJ: each is read again wherever the OBJ names it.
 const MOST_LIBRARIES: usize = 64;
 
-/// Reads a Wavefront OBJ with its MTL (`map_Kd` texture, else the materials' diffuse colours, else vertex colours).
-/// `metres_per_unit` is 1.0 for OBJ files in metres. All shapes of the file become one mesh.
+/// Reads a Wavefront OBJ with its MTL: the texture (`map_Kd`) that all its materials share, else vertex colours, else the
+/// materials' colours (`Kd`), else grey. `metres_per_unit` is 1e-3 for millimetres. All shapes of the file become one mesh; its axes
+/// are the object's.
 ///
 /// # Errors
-/// When a file cannot be read, a texture is missing, the materials use more than one texture, or the mesh is not
-/// usable ([`Mesh::new`]).
+/// When a file cannot be read, a texture is missing, the surface has more than one texture or is textured in parts, or the mesh is
+/// not usable ([`Mesh::new`]).
 pub fn load_obj(path: &Path, metres_per_unit: f64) -> Result<Mesh, ImagingError> {
-    let bad = |field: &str, what: String, remedy| ImagingError::field(path, field, what, remedy);
+    let (models, materials) = read(path)?;
+    let has_uv = models.iter().all(|m| !m.mesh.texcoords.is_empty());
+    let has_normals = models.iter().all(|m| !m.mesh.normals.is_empty());
+    let mut parts = MeshParts::default();
+    for model in &models {
+        append(&mut parts, &model.mesh, metres_per_unit, has_uv, has_normals);
+        let colour = material(model, &materials).and_then(|m| m.diffuse).map(|c| c.map(to_byte));
+        append_colours(&mut parts, &model.mesh, colour);
+    }
+    if let Some(name) = the_texture(&models, &materials, path)? {
+        if !has_uv {
+            let what = "a texture but no texture coordinates";
+            return Err(ImagingError::field(path, "vt", what, "export the mesh with its UV map"));
+        }
+        parts.texture = Some(load_texture(path, name)?);
+    }
+    Mesh::new(parts, path)
+}
+
+fn read(path: &Path) -> Result<(Vec<Model>, Vec<Material>), ImagingError> {
+    let bad = |field: &str, what: tobj::LoadError, remedy| ImagingError::field(path, field, what.to_string(), remedy);
     let bytes = std::fs::read(path).map_err(ImagingError::io(path))?;
     let options = tobj::LoadOptions { triangulate: true, single_index: true, ..Default::default() };
     let libraries = Cell::new(0);
@@ -21,36 +46,35 @@ pub fn load_obj(path: &Path, metres_per_unit: f64) -> Result<Mesh, ImagingError>
         libraries.set(libraries.get() + 1);
         if libraries.get() > MOST_LIBRARIES { Err(tobj::LoadError::GenericFailure) } else { load_mtl(path, library) }
     })
-    .map_err(|e| bad("obj", e.to_string(), "the file is damaged or no OBJ: export it again"))?;
-    let materials = materials
-        .map_err(|e| bad("mtllib", e.to_string(), "put an intact MTL file beside the OBJ, at most 64 of them"))?;
-    let mut textures: Vec<&str> = materials.iter().filter_map(|m| m.diffuse_texture.as_deref()).collect();
-    textures.sort_unstable();
-    textures.dedup();
-    if textures.len() > 1 {
-        let what = format!("{} textures: {textures:?}", textures.len());
-        return Err(bad("map_Kd", what, "bake them into one texture atlas"));
+    .map_err(|e| bad("obj", e, "the file is damaged or no OBJ: export it again"))?;
+    let materials =
+        materials.map_err(|e| bad("mtllib", e, "put an intact MTL file beside the OBJ, at most 64 of them"))?;
+    Ok((models, materials))
+}
+
+fn material<'a>(model: &Model, materials: &'a [Material]) -> Option<&'a Material> {
+    materials.get(model.mesh.material_id?)
+}
+
+/// The texture of all faces; `None` where no face has one. Materials that no face uses do not count.
+fn the_texture<'a>(models: &[Model], materials: &'a [Material], path: &Path) -> Result<Option<&'a str>, ImagingError> {
+    let texture = |model: &Model| material(model, materials).and_then(|m| m.diffuse_texture.as_deref());
+    let used: BTreeSet<Option<&str>> = models.iter().map(texture).collect();
+    let names: Vec<&str> = used.iter().flatten().copied().collect();
+    if used.len() <= 1 {
+        return Ok(names.first().copied());
     }
-    let mut parts = MeshParts::default();
-    let has_uv = models.iter().all(|m| !m.mesh.texcoords.is_empty());
-    let has_normals = models.iter().all(|m| !m.mesh.normals.is_empty());
-    for model in &models {
-        append(&mut parts, &model.mesh, metres_per_unit, has_uv, has_normals);
-        let material = model.mesh.material_id.and_then(|id| materials.get(id));
-        let diffuse = material.and_then(|m| m.diffuse).map(|c| c.map(to_byte));
-        append_colours(&mut parts, &model.mesh, diffuse);
+    let plain = if used.contains(&None) { " and faces without" } else { "" };
+    let what = format!("{} texture(s){plain}: {names:?}", names.len());
+    Err(ImagingError::field(path, "map_Kd", what, "bake all materials into one texture (Blender: Bake, Diffuse)"))
+}
+
+fn load_texture(path: &Path, name: &str) -> Result<RgbImage, ImagingError> {
+    let texture = path.with_file_name(name.replace('\\', "/"));
+    match texture.is_file() {
+        true => load_rgb(&texture),
+        false => Err(ImagingError::MissingTexture { path: path.to_owned(), field: "map_Kd".into(), texture }),
     }
-    if let Some(name) = textures.first() {
-        let texture = path.with_file_name(name.replace('\\', "/"));
-        if !texture.is_file() {
-            return Err(ImagingError::MissingTexture { path: path.to_owned(), field: "map_Kd".into(), texture });
-        }
-        if !has_uv {
-            return Err(bad("vt", "a texture but no texture coordinates".into(), "export the mesh with its UV map"));
-        }
-        parts.texture = Some(load_rgb(&texture)?);
-    }
-    Mesh::new(parts, path)
 }
 
 /// Reads a material file that lies in the OBJ's folder or below it.
@@ -94,9 +118,9 @@ fn append(parts: &mut MeshParts, mesh: &tobj::Mesh, metres_per_unit: f64, has_uv
     parts.triangles.extend(triangles.map(|t| t.map(|i| i + offset)));
 }
 
+/// Colours of the vertices stand before the material's: scanners write them beside a material that says nothing.
 fn append_colours(parts: &mut MeshParts, mesh: &tobj::Mesh, diffuse: Option<[u8; 3]>) {
-    let white = diffuse.unwrap_or([200; 3]);
-    let given = mesh.vertex_color.as_chunks::<3>().0;
-    parts.colours.extend(given.iter().map(|c| c.map(to_byte)));
-    parts.colours.resize(parts.vertices_m.len(), white);
+    let stated = mesh.vertex_color.as_chunks::<3>().0;
+    parts.colours.extend(stated.iter().map(|c| c.map(to_byte)));
+    parts.colours.resize(parts.vertices_m.len(), diffuse.unwrap_or([200; 3]));
 }

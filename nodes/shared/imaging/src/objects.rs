@@ -1,7 +1,7 @@
-use crate::{ImagingError, Mesh, load_ply};
+use crate::models::{self, INFO, MILLIMETRE_M, MeshFile, Model, ModelInfo};
+use crate::{ImagingError, Mesh, load_obj, load_ply};
 use nalgebra::{Point3, Vector3};
 use pseudoflow_geometry::{ContinuousSymmetry, Symmetries, pose_from_row_major};
-use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,11 +15,13 @@ pub struct Object {
     pub name: String,
     /// The mesh, shared with the rasterisers.
     pub mesh: Arc<Mesh>,
-    /// Largest distance between two points, metres (`models_info.json`).
+    /// Where the mesh was read from; `None` of one that was made here.
+    pub mesh_file: Option<MeshFile>,
+    /// Largest distance between two points, metres (`models_info.json`, else [`Mesh::diameter_m`]).
     pub diameter_m: f64,
-    /// Lowest corner of the bounding box, metres.
+    /// Lowest corner of the bounding box, metres (`models_info.json`, else the mesh's).
     pub low_m: Point3<f64>,
-    /// Size of the bounding box, metres.
+    /// Size of the bounding box, metres (`models_info.json`, else the mesh's).
     pub extents_m: Vector3<f64>,
     /// Symmetries, metres.
     pub symmetries: Symmetries,
@@ -33,30 +35,6 @@ pub struct ObjectSet {
     folder: PathBuf,
     objects: BTreeMap<u32, Object>,
 }
-
-/// An entry of `models_info.json`, millimetres. BOP sets carry further keys, so unknown ones are let through.
-#[derive(Deserialize)]
-struct ModelInfo {
-    diameter: f64,
-    min_x: f64,
-    min_y: f64,
-    min_z: f64,
-    size_x: f64,
-    size_y: f64,
-    size_z: f64,
-    #[serde(default)]
-    symmetries_discrete: Vec<[f64; 16]>,
-    #[serde(default)]
-    symmetries_continuous: Vec<ContinuousInfo>,
-}
-
-#[derive(Deserialize)]
-struct ContinuousInfo {
-    axis: [f64; 3],
-    offset: [f64; 3],
-}
-
-const MILLIMETRE_M: f64 = 1e-3;
 
 impl Object {
     /// The middle of the bounding box, metres.
@@ -74,26 +52,43 @@ impl Object {
 }
 
 impl ObjectSet {
-    /// Reads a BOP `models/` folder: `models_info.json`, `obj_XXXXXX.ply` in millimetres, their textures, and
-    /// `names.json` (id to name) if there.
+    /// Reads a BOP `models/` folder: `models_info.json`; for each object `obj_XXXXXX.ply` or, where there is none, `obj_XXXXXX.obj`;
+    /// their textures and materials; and `names.json` (id to name) if there.
     ///
+    /// Meshes are in millimetres unless `models_info.json` says otherwise: `"mesh_unit": "m"` (`mm`, `cm`, `m`, `in`). Without
+    /// `models_info.json` each mesh named as above is an object; diameters and boxes that nobody states are those of the mesh.
+    ///
+    /// ```
+    /// use pseudoflow_imaging::ObjectSet;
+    ///
+    /// let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../config/objects/tabletop");
+    /// let set = ObjectSet::load(folder.as_ref())?;
+    /// let bottle = set.get(2)?;
+    /// assert_eq!(bottle.name, "mustard_bottle");
+    /// assert!((bottle.diameter_m - 0.1965).abs() < 1e-4);
+    /// # Ok::<(), pseudoflow_imaging::ImagingError>(())
+    /// ```
     /// # Errors
     /// When a file is missing or damaged, a diameter is outside 5 mm .. 5 m, or the mesh and `models_info.json`
     /// disagree on the size by more than 10 %.
     pub fn load(folder: &Path) -> Result<Self, ImagingError> {
-        let info_path = folder.join("models_info.json");
-        let infos: BTreeMap<u32, ModelInfo> = read_json(&info_path)?;
-        if infos.is_empty() {
-            return Err(ImagingError::field(&info_path, "{}", "no objects", "list at least one object"));
-        }
+        let models = models::list(folder)?;
         let names_path = folder.join("names.json");
         let names: BTreeMap<u32, String> = if names_path.is_file() { read_json(&names_path)? } else { BTreeMap::new() };
-        let load = |(id, info): (&u32, &ModelInfo)| {
-            let name = names.get(id).cloned().unwrap_or_else(|| format!("obj_{id:06}"));
-            Ok((*id, load_object(folder, &info_path, *id, name, info)?))
+        let load = |(id, model): (u32, Model)| {
+            let name = names.get(&id).cloned().unwrap_or_else(|| format!("obj_{id:06}"));
+            Ok((id, load_object(&folder.join(INFO), id, name, model)?))
         };
-        let objects = infos.iter().map(load).collect::<Result<_, ImagingError>>()?;
+        let objects = models.into_iter().map(load).collect::<Result<_, ImagingError>>()?;
         Ok(Self { folder: folder.to_owned(), objects })
+    }
+
+    /// Whether [`ObjectSet::load`] would find objects in a folder, without reading their meshes.
+    ///
+    /// # Errors
+    /// When it would find none, a mesh is not there, or `models_info.json` is damaged.
+    pub fn check(folder: &Path) -> Result<(), ImagingError> {
+        models::list(folder).map(|_| ())
     }
 
     /// The object with an id.
@@ -138,34 +133,49 @@ pub(crate) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T
     serde_json::from_str(&text).map_err(|source| ImagingError::Json { path: path.to_owned(), source })
 }
 
-fn load_object(
-    folder: &Path,
-    info_path: &Path,
-    id: u32,
-    name: String,
-    info: &ModelInfo,
-) -> Result<Object, ImagingError> {
-    let diameter_m = info.diameter * MILLIMETRE_M;
-    check_diameter(info_path, format!("{id}.diameter"), diameter_m)?;
-    let path = folder.join(format!("obj_{id:06}.ply"));
-    let mesh = load_ply(&path, MILLIMETRE_M)?;
+fn load_object(info_path: &Path, id: u32, name: String, model: Model) -> Result<Object, ImagingError> {
+    let Model { info, mesh: file } = model;
+    let stated_m = info.diameter.map(|diameter| diameter * MILLIMETRE_M);
+    if let Some(diameter_m) = stated_m {
+        check_diameter(info_path, format!("{id}.diameter"), diameter_m)?;
+    }
+    let mesh = match file.path.extension().is_some_and(|extension| extension == "obj") {
+        true => load_obj(&file.path, file.metres_per_unit)?,
+        false => load_ply(&file.path, file.metres_per_unit)?,
+    };
     let measured_m = mesh.diameter_m();
-    check_diameter(&path, "x, y, z".into(), measured_m)?;
+    check_diameter(&file.path, "x, y, z".into(), measured_m)?;
+    let diameter_m = stated_m.unwrap_or(measured_m);
     if (measured_m / diameter_m - 1.0).abs() > 0.1 {
-        let what = format!("{diameter_m} m, but the mesh of {} measures {measured_m} m", path.display());
-        let remedy = "make models_info.json and the mesh agree (both in millimetres)";
+        let what = format!("{diameter_m} m, but the mesh of {} measures {measured_m} m", file.path.display());
+        let remedy = "make models_info.json (millimetres) and the mesh (`mesh_unit`, else millimetres) agree";
         return Err(ImagingError::field(info_path, format!("{id}.diameter"), what, remedy));
     }
-    let symmetries = symmetries(info, id, info_path)?;
+    let (low_m, extents_m) = bounds_m(&info, id, info_path, &mesh)?;
     Ok(Object {
         id,
         name,
         diameter_m,
-        low_m: Point3::new(info.min_x, info.min_y, info.min_z) * MILLIMETRE_M,
-        extents_m: Vector3::new(info.size_x, info.size_y, info.size_z) * MILLIMETRE_M,
-        symmetries,
+        low_m,
+        extents_m,
+        symmetries: symmetries(&info, id, info_path)?,
         hull_m: mesh.hull_points(),
         mesh: Arc::new(mesh),
+        mesh_file: Some(file),
+    })
+}
+
+/// Lowest corner and size of the bounding box: as stated, else those of the mesh.
+fn bounds_m(
+    info: &ModelInfo,
+    id: u32,
+    info_path: &Path,
+    mesh: &Mesh,
+) -> Result<(Point3<f64>, Vector3<f64>), ImagingError> {
+    let (low, high) = mesh.bounds_m();
+    Ok(match info.bounds(id, info_path)? {
+        Some([low, size]) => (Point3::from(low) * MILLIMETRE_M, Vector3::from(size) * MILLIMETRE_M),
+        None => (low, high - low),
     })
 }
 

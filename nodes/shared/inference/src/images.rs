@@ -3,6 +3,13 @@ use rayon::prelude::*;
 /// Images of `area` pixels (interleaved RGB bytes) to three planes each in `[-1, 1]`, as RAFT's authors scale them:
 /// `2 v / 255 - 1`.
 ///
+/// ```
+/// use pseudoflow_inference::normalise;
+///
+/// let mut planes = [0.0; 6]; // red, green, blue of two pixels
+/// normalise(&[255, 0, 0, 255, 0, 255], 2, &mut planes);
+/// assert_eq!(planes, [1.0, 1.0, -1.0, -1.0, -1.0, 1.0]);
+/// ```
 /// # Panics
 /// When `planes` is not three times as long as there are pixels in `rgb`.
 pub fn normalise(rgb: &[u8], area: usize, planes: &mut [f32]) {

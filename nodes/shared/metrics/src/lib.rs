@@ -10,6 +10,27 @@
 //!
 //! Metres and radians inside; BOP files hold millimetres. The referee is bop_toolkit: `tests/` compares with its
 //! answers.
+//!
+//! Begin with [`ModelPoints`] and [`add_m`]; whole datasets are scored by `pseudoflow-evaluator`.
+//!
+//! ```
+//! use nalgebra::Point3;
+//! use pseudoflow_geometry::Pose;
+//! use pseudoflow_metrics::{ModelPoints, add_m, adi_m, add_threshold_m};
+//!
+//! let corners = [-0.05, 0.05].map(|x| Point3::new(x, 0.0, 0.0)); // a stick of 10 cm
+//! let stick = ModelPoints::new(&corners)?;
+//! let truth = Pose::translation(0.0, 0.0, 0.8);
+//! let shifted = Pose::translation(0.003, 0.0, 0.8);
+//! let error_m = add_m(&stick, &shifted.into(), &truth.into());
+//! assert!((error_m - 0.003).abs() < 1e-5 && error_m < add_threshold_m(0.1));
+//!
+//! // Turned end to end it looks the same: ADI does not mind.
+//! let turned = truth * Pose::rotation(nalgebra::Vector3::z() * std::f64::consts::PI);
+//! assert!(add_m(&stick, &turned.into(), &truth.into()) > 0.09);
+//! assert!(adi_m(&stick, &turned.into(), &truth.into()) < 1e-5);
+//! # Ok::<(), pseudoflow_metrics::PointsError>(())
+//! ```
 
 mod affine;
 mod distance;

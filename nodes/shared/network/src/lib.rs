@@ -1,5 +1,20 @@
-//! The networks without an engine: what they are made of, their weights, and their export as ONNX. `pseudoflow-learning` computes
-//! and trains them with burn; ONNX Runtime and rten run what [`FlowNetwork::export`] writes.
+//! The networks without an engine: what they are made of, their weights, and their export as ONNX. RAFT (Teed and Deng, ECCV 2020,
+//! arXiv 2003.12039), the compact refiner for all objects, and the network that finds objects. `pseudoflow-learning` computes and
+//! trains them with burn; ONNX Runtime and rten run what [`FlowNetwork::export`] writes (`pseudoflow-inference`).
+//!
+//! Begin with [`FlowNetwork`], which knows a network by its name or by its weights, and [`Weights`].
+//!
+//! ```
+//! use pseudoflow_network::{ExportOptions, FlowNetwork};
+//!
+//! let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../config/weights/refiner.safetensors");
+//! let network = FlowNetwork::of_weights(file.as_ref())?;
+//! assert!(network.is_refiner());
+//! let weights = network.load(file.as_ref())?;
+//! let onnx = network.export(&weights, ExportOptions { size_px: 128, iterations: 4, batch: None })?;
+//! assert!(onnx.len() > 1_000_000);
+//! # Ok::<(), pseudoflow_network::NetworkError>(())
+//! ```
 
 mod config;
 mod detector;

@@ -1,4 +1,58 @@
-//! What every node stands on: the [`Node`] trait, graphs in YAML, delivery over iceoryx2, the supervisor.
+//! What every node stands on: the [`Node`] trait, graphs in YAML, delivery over iceoryx2, the supervisor; and recordings ([`bag`]).
+//!
+//! Begin with [`Node`]: a kind of node is one type, which declares its ports ([`Port`]) and handles a frame. A [`Registry`] knows the
+//! kinds, a [`Graph`] wires them, and [`supervisor::run`] (processes) or [`local::run`] (this process) runs it. `cargo run --release
+//! --example write_a_node` is a whole one.
+//!
+//! ```
+//! use pseudoflow_msgs::{AlignedBytes, FrameKey, ObjectPoses};
+//! use pseudoflow_runtime::{Context, InMemory, Inputs, Node, NodeError, Outputs, Port, PortSpec, Role};
+//!
+//! const POSES: Port<ObjectPoses<'static>> = Port::required("poses");
+//!
+//! /// Its block in a graph.
+//! #[derive(serde::Deserialize, schemars::JsonSchema)]
+//! #[serde(deny_unknown_fields)]
+//! struct CountConfig {}
+//!
+//! /// Counts poses.
+//! struct Count(usize);
+//!
+//! impl Node for Count {
+//!     const KIND: &'static str = "count";
+//!     const ROLE: Role = Role::Sink;
+//!     type Config = CountConfig;
+//!
+//!     fn inputs() -> Vec<PortSpec> {
+//!         vec![POSES.spec()]
+//!     }
+//!     fn outputs() -> Vec<PortSpec> {
+//!         Vec::new()
+//!     }
+//!     fn check(_: &CountConfig) -> Result<(), NodeError> {
+//!         Ok(())
+//!     }
+//!     fn create(_: CountConfig, _: &Context) -> Result<Self, NodeError> {
+//!         Ok(Self(0))
+//!     }
+//!     fn process(&mut self, inputs: &dyn Inputs, _: &mut dyn Outputs, _: &Context) -> Result<(), NodeError> {
+//!         self.0 += POSES.read(inputs)?.poses.len();
+//!         Ok(())
+//!     }
+//! }
+//!
+//! // A node runs by itself, too: so it is tested.
+//! let context = Context { name: "count".into(), seed: 1, out_dir: ".".into(), restarts: 0, replay: true };
+//! let mut node = Count::create(CountConfig {}, &context)?;
+//! let mut frame = InMemory::new(FrameKey { index: 0, stamp_ns: 0 });
+//! let two: [pseudoflow_msgs::ObjectPose; 2] = bytemuck::Zeroable::zeroed();
+//! let mut bytes = AlignedBytes::zeroed(ObjectPoses::byte_len(2));
+//! ObjectPoses::write(&mut bytes, 0, 0, &two);
+//! frame.messages.push(("poses".into(), bytes));
+//! node.process(&frame, &mut InMemory::default(), &context)?;
+//! assert_eq!(node.0, 2);
+//! # Ok::<(), NodeError>(())
+//! ```
 
 mod bad;
 pub mod bag;

@@ -7,6 +7,27 @@
 //! `camera_from_object`.
 //!
 //! Nothing here knows a middleware, a clock or a global random source: same input and seed, same bits.
+//!
+//! Begin with [`Solver`]:
+//!
+//! ```
+//! use nalgebra::{Point3, Vector3};
+//! use pseudoflow_geometry::{Intrinsics, Pose};
+//! use pseudoflow_solver::{Correspondences, PnpConfig, Solver};
+//!
+//! let camera = Intrinsics { fx: 600.0, fy: 600.0, cx: 319.5, cy: 239.5 };
+//! let truth = Pose::new(Vector3::new(0.05, 0.0, 0.7), Vector3::new(0.4, -0.9, 0.2));
+//! // Points on a screw, and the pixels that see them.
+//! let points: Vec<[f32; 3]> = (0..100).map(|i| 0.2 * i as f32).map(|t| [0.06 * t.cos(), 0.06 * t.sin(), 0.01 * t]).collect();
+//! let see = |p: &[f32; 3]| camera.project(&(truth * Point3::from(*p).cast::<f64>())).expect("before the camera");
+//! let pixels: Vec<[f32; 2]> = points.iter().map(see).map(|pixel| [pixel.x as f32, pixel.y as f32]).collect();
+//!
+//! let rough = Pose::translation(0.0, 0.0, 0.8);
+//! let mut solver = Solver::new(PnpConfig::default())?;
+//! let found = solver.solve(&Correspondences::new(&points, &pixels)?, &camera, &rough, 1);
+//! assert!(found.status.is_ok() && found.rms_px < 0.01, "{}", found.status);
+//! # Ok::<(), pseudoflow_solver::PnpError>(())
+//! ```
 
 mod config;
 mod correspondence;

@@ -21,7 +21,7 @@ pub struct TrainerConfig {
     /// better where the teacher looks closer.
     #[serde(default)]
     pub student_px: Option<u32>,
-    /// What trains: auto, cpu, vulkan[:N] or cuda[:N]. The same bits come out on the processor only.
+    /// What trains: auto, cpu, `vulkan[:N]` or `cuda[:N]`. The same bits come out on the processor only.
     #[serde(default)]
     pub device: ComputeDevice,
     /// Folder of checkpoint, log and result.
@@ -111,7 +111,7 @@ fn yes() -> bool {
 /// Where nano's labels agree with the true flow, pixels (tables in docs/results).
 const LABEL_PX: u32 = 256;
 
-/// Width and height of the teacher's crops, pixels: as given, else [`LABEL_PX`], or those of the student where they are larger.
+/// Width and height of the teacher's crops, pixels: as given, else `LABEL_PX`, or those of the student where they are larger.
 #[must_use]
 pub fn label_px(given: Option<u32>, student_px: u32) -> u32 {
     given.unwrap_or(student_px.max(LABEL_PX))

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use pseudoflow_imaging::BACKGROUND_GREY;
 
 /// Takes the distortion out of images of one size: for each pixel of the rectified image, where it is seen in the image as it
-/// came (OpenCV's `initUndistortRectifyMap`), sampled by cubic convolution ([`cubic`]) in steps of 1/128 pixel. What the camera did not see is grey.
+/// came (OpenCV's `initUndistortRectifyMap`), sampled by cubic convolution (`cubic`) in steps of 1/128 pixel. What the camera did not see is grey.
 #[derive(Debug, Clone)]
 pub struct Rectifier {
     width: usize,

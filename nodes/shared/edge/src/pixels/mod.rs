@@ -4,8 +4,8 @@
 //! |---|---|---|
 //! | `rgb8`, `bgr8` (`8UC3`), `rgba8`, `bgra8` (`8UC4`), `mono8` (`8UC1`) | 1 to 4 | copied |
 //! | `mono16`, `rgb16`, `bgr16`, `rgba16`, `bgra16` | 2 to 8 | scaled by 255 / 65535, rounded |
-//! | `bayer_{rggb,bggr,gbrg,grbg}{8,16}` | 1, 2 | bilinear ([`bayer`]) |
-//! | `yuv422`, `uyvy`; `yuv422_yuy2`, `yuyv` | 2 | BT.601, 16 to 235 ([`yuv`]) |
+//! | `bayer_{rggb,bggr,gbrg,grbg}{8,16}` | 1, 2 | bilinear (`bayer`) |
+//! | `yuv422`, `uyvy`; `yuv422_yuy2`, `yuyv` | 2 | BT.601, 16 to 235 (`yuv`) |
 //! | `nv12`, `nv21` | 3/2 | the same |
 //!
 //! Depth (`16UC1`, `32FC1`) is no picture and refused.

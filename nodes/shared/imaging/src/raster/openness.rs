@@ -6,7 +6,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 
 /// For each vertex the cosine-weighted share of `directions` directions, spread evenly over the sphere, in which nothing of the
-/// mesh hides the surroundings, of 255. A depth map of [`SIDE`] squared is drawn from each direction; what lies
+/// mesh hides the surroundings, of 255. A depth map of `SIDE` squared is drawn from each direction; what lies
 /// within 3 % of the radius before a vertex counts as its own surface.
 #[must_use]
 pub fn openness(mesh: &Mesh, directions: usize) -> Vec<u8> {

@@ -5,6 +5,25 @@
 //! - [`BagReader`] checks the whole bag when it is opened (every checksum, holding one chunk at a time) and then
 //!   gives any message of any topic.
 //! - [`recover`] keeps what is whole of a cut-off or damaged bag.
+//!
+//! ```
+//! use pseudoflow_msgs::ros::{PoseStamped, RosMessage};
+//! use pseudoflow_runtime::bag::{BagReader, BagWriter, Packing, Qos};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("my_bag");
+//! let mut writer = BagWriter::create(&path, Packing::default())?;
+//! let topic = writer.add_topic::<PoseStamped>("/object_pose", Qos::RELIABLE)?;
+//! let (stamp_ns, sequence) = (1_000_000_000, 0);
+//! writer.write(topic, stamp_ns, sequence, &PoseStamped::default())?;
+//! writer.end_frame()?; // now it is safe, whatever happens to this process
+//! writer.finish()?;
+//!
+//! let mut reader = BagReader::open(&path)?;
+//! let topic = reader.topic("/object_pose", &[PoseStamped::type_name()])?;
+//! assert_eq!(reader.read::<PoseStamped>(topic, 0)?, PoseStamped::default());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod error;
 mod file;

@@ -56,6 +56,7 @@ pub(super) fn draw_object(rng: &mut impl Rng, id: u32) -> Result<Object, Imaging
     Ok(with_openness(Object {
         id,
         name: format!("shape_{id:06}"),
+        mesh_file: None,
         diameter_m: mesh.diameter_m(),
         low_m,
         extents_m: high_m - low_m,
