@@ -48,7 +48,7 @@ not, and the log says so.
 
 Messages are the same for all releases of ROS 2 since Humble. The node graph (`ros_discovery_info`, from which `ros2 node list` and `ros2 topic
 info` read who publishes what) is not: Humble's gids have 24 bytes, later ones 16. The default build speaks the latter; for Humble build with
-`--no-default-features --features humble`.
+`--no-default-features --features humble,training,embed`.
 
 ## Cameras
 

@@ -1,9 +1,9 @@
 //! Files that come with the program (graphs, weights, objects, the demo's recording), found from any working directory.
 //!
-//! A path that begins with `config/` or `bags/` and names nothing in the working directory is looked for in one folder: that
-//! of `PSEUDOFLOW_SHARE`, else `share/pseudoflow` beside the binary's folder (as packages and `colcon` lay files out), else
-//! `pseudoflow` in the data folders of the user and of the system (`XDG_DATA_HOME`, `XDG_DATA_DIRS`), else the copy that the
-//! binary carries, which is unpacked into the user's cache folder once.
+//! A path that begins with `config/` or `bags/` and names nothing in the working directory is looked for in the folder of
+//! `PSEUDOFLOW_SHARE` where that is set; else in `share/pseudoflow` beside the binary's folder (as packages and `colcon` lay files
+//! out), in `pseudoflow` of the data folders of the user and of the system (`XDG_DATA_HOME`, `XDG_DATA_DIRS`), and last in the
+//! copy that the binary carries, which is unpacked into the user's cache folder once.
 
 use crate::Graph;
 use serde_yaml::Value;
@@ -22,7 +22,7 @@ pub type Unpack = fn(&Path) -> Result<PathBuf, String>;
 
 static CARRIED: OnceLock<Unpack> = OnceLock::new();
 
-/// Why no folder with shipped files could be had.
+/// Why shipped files could not be had.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct NoShippedFiles(String);
@@ -37,15 +37,19 @@ pub fn carry(unpack: Unpack) {
 /// so does one that no place has: the message about it then names what the user wrote.
 ///
 /// # Errors
-/// The path names a shipped file, and no place has shipped files.
+/// The path names a shipped file, and `PSEUDOFLOW_SHARE` names no folder of shipped files, or the carried ones cannot be unpacked.
 pub fn find(path: &Path) -> Result<PathBuf, NoShippedFiles> {
     let folder = path.components().next();
     let is_shipped = FOLDERS.iter().any(|name| folder == Some(Component::Normal(name.as_ref())));
     if !is_shipped || path.exists() {
         return Ok(path.to_owned());
     }
-    let there = root()?.join(path);
-    Ok(if there.exists() { there } else { path.to_owned() })
+    let places = Places { variable: &|name| std::env::var_os(name), binary: std::env::current_exe().ok() };
+    let found = places.find(path, CARRIED.get().copied()).map_err(NoShippedFiles)?;
+    if let Some(found) = &found {
+        log::debug!("{}: {}", path.display(), found.display());
+    }
+    Ok(found.unwrap_or_else(|| path.to_owned()))
 }
 
 /// [`find`] for a parser of arguments.
@@ -80,18 +84,6 @@ fn fill_in_value(value: &mut Value) -> Result<(), NoShippedFiles> {
     }
 }
 
-/// The folder that holds `config` and `bags`, chosen once.
-fn root() -> Result<&'static Path, NoShippedFiles> {
-    static ROOT: OnceLock<Result<PathBuf, NoShippedFiles>> = OnceLock::new();
-    let choice = ROOT.get_or_init(|| {
-        let places = Places { variable: &|name| std::env::var_os(name), binary: std::env::current_exe().ok() };
-        let chosen = places.choose(CARRIED.get().copied()).map_err(NoShippedFiles)?;
-        log::info!("shipped files: {}", chosen.display());
-        Ok(chosen)
-    });
-    choice.as_deref().map_err(Clone::clone)
-}
-
 /// Where shipped files may be.
 struct Places<'a> {
     /// Reads the environment.
@@ -101,20 +93,23 @@ struct Places<'a> {
 }
 
 impl Places<'_> {
-    /// The first folder that holds shipped files.
-    fn choose(&self, carried: Option<Unpack>) -> Result<PathBuf, String> {
+    /// The shipped file of this name in the first place that has it.
+    fn find(&self, path: &Path, carried: Option<Unpack>) -> Result<Option<PathBuf>, String> {
+        let in_folder = |folder: &Path| Some(folder.join(path)).filter(|there| there.exists());
         if let Some(folder) = (self.variable)(VARIABLE) {
             let folder = PathBuf::from(folder);
             let missing = || format!("{VARIABLE}={}: there is no folder `config` in it", folder.display());
-            return if holds(&folder) { Ok(folder) } else { Err(missing()) };
+            return if folder.join("config").is_dir() { Ok(in_folder(&folder)) } else { Err(missing()) };
         }
-        let places: Vec<_> = self.beside_the_binary().into_iter().chain(self.data_folders()).collect();
-        if let Some(folder) = places.iter().find(|folder| holds(folder)) {
-            return Ok(folder.clone());
+        let places = self.beside_the_binary().into_iter().chain(self.data_folders());
+        let installed = places.filter_map(|folder| in_folder(&folder)).next();
+        match (installed, carried) {
+            (None, Some(unpack)) => {
+                let cache = self.user_folder("XDG_CACHE_HOME", ".cache").unwrap_or_else(std::env::temp_dir);
+                Ok(in_folder(&unpack(&cache.join("pseudoflow"))?))
+            }
+            (installed, _) => Ok(installed),
         }
-        let unpack = carried.ok_or_else(|| nowhere(&places))?;
-        let cache = self.user_folder("XDG_CACHE_HOME", ".cache").unwrap_or_else(std::env::temp_dir);
-        unpack(&cache.join("pseudoflow"))
     }
 
     /// `bin/pseudoflow` has its files in `share/pseudoflow`; so has `lib/pseudoflow/pseudoflow`, as ROS lays packages out.
@@ -136,19 +131,6 @@ impl Places<'_> {
         let stated = (self.variable)(name).map(PathBuf::from).filter(|folder| folder.is_absolute());
         stated.or_else(|| Some(PathBuf::from((self.variable)("HOME")?).join(default)))
     }
-}
-
-fn holds(folder: &Path) -> bool {
-    folder.join("config").is_dir()
-}
-
-fn nowhere(places: &[PathBuf]) -> String {
-    let places: Vec<_> = places.iter().map(|place| place.display().to_string()).collect();
-    format!(
-        "the files that come with pseudoflow (config, bags) are in none of {}: copy them there, name their folder in {VARIABLE}, or \
-         build with the feature `embed`",
-        places.join(", ")
-    )
 }
 
 #[cfg(test)]

@@ -1,39 +1,44 @@
 use super::*;
 use std::collections::HashMap;
 
-/// What [`Places::choose`] finds with these variables for a binary at `binary`.
-fn choose(
+const GRAPH: &str = "config/graphs/demo.yaml";
+
+/// What [`Places::find`] says of the demo's graph, with these variables, for a binary at `binary`.
+fn find(
     variables: &[(&'static str, &Path)],
     binary: Option<PathBuf>,
     carried: Option<Unpack>,
-) -> Result<PathBuf, String> {
+) -> Result<Option<PathBuf>, String> {
     let values: HashMap<_, _> = variables.iter().map(|(name, value)| (*name, value.as_os_str().to_owned())).collect();
-    Places { variable: &|name| values.get(name).cloned(), binary }.choose(carried)
+    Places { variable: &|name| values.get(name).cloned(), binary }.find(Path::new(GRAPH), carried)
 }
 
-/// A folder with the shipped files' `config`.
+/// Makes a folder of shipped files; returns the demo's graph in it.
 fn with_files(folder: &Path) -> PathBuf {
-    std::fs::create_dir_all(folder.join("config")).unwrap();
-    folder.to_owned()
+    let graph = folder.join(GRAPH);
+    std::fs::create_dir_all(graph.parent().unwrap()).unwrap();
+    std::fs::write(&graph, "").unwrap();
+    graph
 }
 
 #[test]
 fn the_variable_comes_first_and_must_name_a_folder_that_has_the_files() {
     let tmp = tempfile::tempdir().unwrap();
-    let stated = with_files(&tmp.path().join("stated"));
+    let stated = tmp.path().join("stated");
+    let graph = with_files(&stated);
     with_files(&tmp.path().join("prefix/share/pseudoflow"));
     let binary = Some(tmp.path().join("prefix/bin/pseudoflow"));
-    assert_eq!(choose(&[(VARIABLE, &stated)], binary.clone(), None), Ok(stated));
-    let message = choose(&[(VARIABLE, &tmp.path().join("empty"))], binary, None).unwrap_err();
+    assert_eq!(find(&[(VARIABLE, &stated)], binary.clone(), None), Ok(Some(graph)));
+    let message = find(&[(VARIABLE, &tmp.path().join("empty"))], binary, None).unwrap_err();
     assert!(message.contains(VARIABLE) && message.contains("empty"), "{message}");
 }
 
 #[test]
 fn a_package_has_its_files_beside_the_binary() {
     let tmp = tempfile::tempdir().unwrap();
-    let share = with_files(&tmp.path().join("share/pseudoflow"));
+    let graph = with_files(&tmp.path().join("share/pseudoflow"));
     for binary in ["bin/pseudoflow", "lib/pseudoflow/pseudoflow"] {
-        assert_eq!(choose(&[], Some(tmp.path().join(binary)), None), Ok(share.clone()), "{binary}");
+        assert_eq!(find(&[], Some(tmp.path().join(binary)), None), Ok(Some(graph.clone())), "{binary}");
     }
 }
 
@@ -44,19 +49,23 @@ fn the_users_data_folder_comes_before_the_systems() {
     let system = with_files(&shares.join("pseudoflow"));
     let home = tmp.path().join("home");
     let variables = [("HOME", home.as_path()), ("XDG_DATA_DIRS", &shares)];
-    assert_eq!(choose(&variables, None, None), Ok(system));
+    assert_eq!(find(&variables, None, None), Ok(Some(system)));
     let own = with_files(&home.join(".local/share/pseudoflow"));
-    assert_eq!(choose(&variables, None, None), Ok(own));
+    assert_eq!(find(&variables, None, None), Ok(Some(own)));
 }
 
 #[test]
-fn what_the_binary_carries_comes_last_and_without_it_the_places_are_listed() {
+fn what_the_binary_carries_comes_last() {
     let tmp = tempfile::tempdir().unwrap();
     let variables = [("XDG_CACHE_HOME", tmp.path()), ("XDG_DATA_DIRS", tmp.path())];
-    let unpacked = choose(&variables, None, Some(|cache| Ok(cache.join("carried"))));
-    assert_eq!(unpacked, Ok(tmp.path().join("pseudoflow/carried")));
-    let message = choose(&variables, None, None).unwrap_err();
-    assert!(message.contains(&tmp.path().display().to_string()) && message.contains(VARIABLE), "{message}");
+    let unpack: Unpack = |cache| {
+        with_files(&cache.join("carried"));
+        Ok(cache.join("carried"))
+    };
+    let carried = tmp.path().join("pseudoflow/carried").join(GRAPH);
+    assert_eq!(find(&variables, None, Some(unpack)), Ok(Some(carried)));
+    assert_eq!(find(&variables, None, None), Ok(None));
+    assert_eq!(find(&variables, None, Some(|_| Err("full".into()))), Err("full".into()));
 }
 
 #[test]
