@@ -2,7 +2,7 @@
 
 mod common;
 
-use pseudoflow_runtime::bag::BagReader;
+use pseudoflow_bag::BagReader;
 use std::path::Path;
 use std::process::{Command, Output};
 

@@ -7,7 +7,7 @@ use pseudoflow_msgs::ros::{
 };
 use pseudoflow_msgs::{CameraFrame, Message};
 use pseudoflow_player::{BagOptions, BagSource, FrameSource};
-use pseudoflow_runtime::bag::{BagWriter, Packing, Qos};
+use pseudoflow_bag::{BagWriter, Packing, Qos};
 use pseudoflow_runtime::{Context, InMemory, Inputs, Node, Produced};
 use ros2_client::{Name, Publisher};
 use std::path::Path;

@@ -13,7 +13,7 @@ use pseudoflow_imaging::{
     INITIAL_COLOUR, ObjectSet, REFINED_COLOUR, RgbImage, decode_rgb, draw_pose_contour, save_png,
 };
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Naming, RosMessage, object_poses};
-use pseudoflow_runtime::bag::{BagError, BagReader};
+use pseudoflow_bag::{BagError, BagReader};
 use std::error::Error;
 use std::path::Path;
 

@@ -67,7 +67,7 @@ fn registry() -> Registry {
         .with::<pseudoflow_evaluator::results::ResultsNode>()
         .with::<pseudoflow_recorder::RecorderNode>();
     #[cfg(feature = "training")]
-    let registry = registry.with::<pseudoflow_trainer::adapt::TrainerNode>();
+    let registry = registry.with::<pseudoflow_trainer::TrainerNode>();
     registry
 }
 

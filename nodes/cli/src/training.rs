@@ -7,8 +7,8 @@ use anyhow::{Context as _, Result, bail, ensure};
 use pseudoflow_network::ComputeDevice;
 use pseudoflow_player::InitialPoses;
 use pseudoflow_runtime::Graph;
-pub use pseudoflow_trainer::adapt::files;
-use pseudoflow_trainer::adapt::{label_px, steps_taken};
+pub use pseudoflow_trainer::files;
+use pseudoflow_trainer::{label_px, steps_taken};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

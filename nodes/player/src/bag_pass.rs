@@ -8,7 +8,7 @@ use pseudoflow_msgs::CameraFrameHeader;
 use pseudoflow_msgs::ros::{
     CameraInfo, CompressedImage, Detection2DArray, Detection3DArray, Header, Image, RosMessage, from_cdr, object_poses,
 };
-use pseudoflow_runtime::bag::Visited;
+use pseudoflow_bag::Visited;
 use std::collections::BTreeMap;
 use std::path::Path;
 

@@ -8,7 +8,7 @@ use pseudoflow_msgs::ros::{
     CameraInfo, CompressedImage, Detection2DArray, Detection3DArray, Image, Naming, RosMessage, object_poses,
 };
 use pseudoflow_msgs::{CameraFrameHeader, FRAME_ID_BYTES, ObjectPose, Rectangle};
-use pseudoflow_runtime::bag::{BagReader, TopicInfo, TopicNumber};
+use pseudoflow_bag::{BagReader, TopicInfo, TopicNumber};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,5 @@
 use pseudoflow_imaging::ImagingError;
-use pseudoflow_runtime::bag::BagError;
+use pseudoflow_bag::BagError;
 use std::path::PathBuf;
 
 /// Why a recording cannot be played.

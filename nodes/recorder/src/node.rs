@@ -9,7 +9,7 @@ use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_msgs::ros::{Header, Naming, Time};
 use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
-use pseudoflow_runtime::bag::{BagError, BagWriter, Packing};
+use pseudoflow_bag::{BagError, BagWriter, Packing};
 use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role, files};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -6,7 +6,7 @@ use pseudoflow_msgs::ros::{
 };
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, ObjectStatus};
 use pseudoflow_runtime::NodeError;
-use pseudoflow_runtime::bag::{BagWriter, Qos, TopicId};
+use pseudoflow_bag::{BagWriter, Qos, TopicId};
 use std::collections::BTreeMap;
 
 /// The topics of a recording: those alone that get messages.

@@ -9,7 +9,7 @@ use pseudoflow_msgs::{
     ReferenceViewsHeader,
 };
 use pseudoflow_network::{FlowNetwork, Weights};
-use pseudoflow_trainer::adapt::{AdaptState, Sample, SampleForm, TrainerConfig};
+use pseudoflow_trainer::{AdaptState, Sample, SampleForm, TrainerConfig};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;

@@ -1,27 +1,40 @@
-//! Training of the flow network: on synthetic pairs ([`pretrain`]; docs/method.md, "Synthetic pre-training") and, without
-//! annotations, on real recordings ([`adapt`]; docs/method.md, "Self-supervision").
+//! The trainer node: self-supervised training of a student by its own moving average (paper, section "Overall framework"; docs/method.md,
+//! "Self-supervision"): labels from the teacher's flows where the views agree, and a photometric loss between real
+//! images. No truth can get here: what comes in are rendered views, real crops and flows.
 //!
-//! Begin with [`pretrain`] and [`synth::SampleGenerator`]:
-//!
-//! ```
-//! use pseudoflow_trainer::synth::{ObjectPool, SampleGenerator, SynthConfig};
-//! use std::sync::Arc;
-//!
-//! let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/objects/tabletop");
-//! let objects = Arc::new(ObjectPool::load(&[folder.into()])?);
-//! let generator = SampleGenerator::new(objects, SynthConfig::default(), 7)?; // the same seed, the same pairs
-//! let pairs = generator.batch(0, 2, 64)?;
-//! assert_eq!((pairs.len(), pairs[0].reference.dimensions()), (2, (64, 64)));
-//! # Ok::<(), pseudoflow_trainer::TrainerError>(())
-//! ```
+//! [`AdaptState`] is the training: a function of its configuration and its samples, to the bit. [`TrainerNode`] is the
+//! shell that gathers samples from messages, keeps checkpoints and sends the teacher's weights back.
 
-pub mod adapt;
+mod augment;
+mod config;
 mod error;
-pub mod initializer;
-pub mod offline;
-pub mod pretrain;
-mod preview;
-pub mod synth;
+mod log;
+mod node;
+mod photo;
+mod sample;
+mod shrink;
+mod state;
 
+#[cfg(test)]
+mod tests;
+
+pub use config::{TrainerConfig, label_px};
 pub use error::TrainerError;
-pub use preview::preview_sheet;
+pub use node::TrainerNode;
+pub use photo::{PhotoLoss, PhotoSample, photo_loss};
+pub use sample::{Sample, SampleForm};
+pub use state::{AdaptState, StepResult, steps_taken};
+
+/// Names of the files in a training's folder.
+pub mod files {
+    /// Student, optimiser, teacher and what was published.
+    pub const CHECKPOINT: &str = "checkpoint.safetensors";
+    /// The teacher after the last step: what the training made.
+    pub const TEACHER: &str = "teacher.safetensors";
+    /// Folder of the teachers that are kept, each named by its steps.
+    pub const TEACHERS: &str = "teachers";
+    /// The student after the last step.
+    pub const STUDENT: &str = "student.safetensors";
+    /// One line a step.
+    pub const LOG: &str = "adapt.csv";
+}

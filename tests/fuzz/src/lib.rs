@@ -12,7 +12,7 @@ use pseudoflow_msgs::ros::{
     from_cdr, object_poses,
 };
 use pseudoflow_network::Weights;
-use pseudoflow_runtime::bag::{BagReader, RecoverOptions, recover};
+use pseudoflow_bag::{BagReader, RecoverOptions, recover};
 use pseudoflow_runtime::{Graph, Registry, graph};
 use std::path::{Path, PathBuf};
 

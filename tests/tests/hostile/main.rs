@@ -52,7 +52,7 @@ fn known_bad_files_are_answered_within_their_budgets() {
 
 #[test]
 fn good_files_are_read() {
-    use pseudoflow_runtime::bag::BagReader;
+    use pseudoflow_bag::BagReader;
     let folder = tempfile::tempdir().expect("a folder");
     for (i, bytes) in corpus::good("bag").iter().enumerate() {
         let path = folder.path().join(format!("{i}.mcap"));

@@ -3,7 +3,7 @@
 use crate::recordings::*;
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Image};
 use pseudoflow_player::{InitialPoses, PlayerConfig};
-use pseudoflow_runtime::bag::{BagWriter, Packing};
+use pseudoflow_bag::{BagWriter, Packing};
 
 #[test]
 fn good_recordings_play_at_random_in_every_encoding() {

@@ -6,7 +6,7 @@ use pseudoflow_msgs::ros::{
 };
 use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, PoseSource, PoseStatus};
 use pseudoflow_player::{InitialPoses, PlayerConfig, PlayerNode};
-use pseudoflow_runtime::bag::{BagWriter, Packing, Qos};
+use pseudoflow_bag::{BagWriter, Packing, Qos};
 use pseudoflow_runtime::{Context, InMemory, Node, Produced};
 use std::path::{Path, PathBuf};
 

@@ -4,7 +4,7 @@ use crate::recordings::*;
 use pseudoflow_imaging::encode_jpeg;
 use pseudoflow_msgs::ros::CompressedImage;
 use pseudoflow_player::{FromBop, InitialPoses, PlayerConfig, from_bop};
-use pseudoflow_runtime::bag::BagReader;
+use pseudoflow_bag::BagReader;
 use std::path::Path;
 
 #[test]

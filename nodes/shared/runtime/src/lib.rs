@@ -1,4 +1,4 @@
-//! What every node stands on: the [`Node`] trait, graphs in YAML, delivery over iceoryx2, the supervisor; and recordings ([`bag`]).
+//! What every node stands on: the [`Node`] trait, graphs in YAML, delivery over iceoryx2, the supervisor.
 //!
 //! Begin with [`Node`]: a kind of node is one type, which declares its ports ([`Port`]) and handles a frame. A [`Registry`] knows the
 //! kinds, a [`Graph`] wires them, and [`supervisor::run`] (processes) or [`local::run`] (this process) runs it. `cargo run --release
@@ -55,7 +55,6 @@
 //! ```
 
 mod bad;
-pub mod bag;
 mod board;
 mod clock;
 mod context;

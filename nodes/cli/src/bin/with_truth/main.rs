@@ -43,7 +43,7 @@ fn registry() -> Registry {
         .with::<pseudoflow_flow::FlowNode>()
         .with::<pseudoflow_pnp::PnpNode>()
         .with::<pseudoflow_consistency::ConsistencyNode>()
-        .with::<pseudoflow_trainer::adapt::TrainerNode>()
+        .with::<pseudoflow_trainer::TrainerNode>()
         .with::<TruthNode>()
         .with::<AuditNode>()
 }

@@ -13,7 +13,7 @@ use pseudoflow_msgs::{CameraFrameHeader, FRAME_ID_BYTES, ObjectPose, PoseSource,
 use pseudoflow_pnp::gate::{Feature, Features, Stage};
 use pseudoflow_pnp::{Look, Refinement};
 use pseudoflow_runtime::Context;
-use pseudoflow_trainer::synth::{SceneConfig, SceneGenerator, SceneSample};
+use pseudoflow_synthetic::{SceneConfig, SceneGenerator, SceneSample};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};

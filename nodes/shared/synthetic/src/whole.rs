@@ -1,0 +1,150 @@
+//! Synthetic images of whole scenes, for the initializer (docs/method.md, pipeline step 1).
+
+use super::config::{CameraConfig, LookConfig};
+use super::photo::PhotoBank;
+use super::picture::Picture;
+use super::pool::ObjectPool;
+use super::random::{Draw, stream};
+use super::scene::{Stock, SyntheticScene};
+use super::sensor::{Sensor, mean_light};
+use super::shapes::ShapeBank;
+use super::window::{SAMPLES, Window};
+use crate::SyntheticError;
+use pseudoflow_geometry::{Intrinsics, Pose};
+use pseudoflow_imaging::{ObjectSet, RgbImage};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Ranges of the synthetic scenes. Unknown keys are rejected.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SceneConfig {
+    /// Width and height of the camera's images, pixels, as the network sees them.
+    pub image_px: [u32; 2],
+    /// Range of the focal length, pixels.
+    pub focal_px: [f64; 2],
+    /// Range of an average object's projected diameter at the middle of the scene, pixels.
+    pub projected_px: [f64; 2],
+    /// Most objects of the set in a scene; at least two are tried where it allows.
+    pub most_objects: u32,
+    /// Most other things in a scene.
+    pub most_others: u32,
+    /// Share of the scenes with something close to the camera.
+    pub occluded: f64,
+}
+
+impl SceneConfig {
+    /// Ranges for household objects seen by a camera whose images are this wide and high, pixels.
+    #[must_use]
+    pub fn for_images(width: u32, height: u32) -> Self {
+        let scale = f64::from(width) / 640.0;
+        Self {
+            image_px: [width, height],
+            focal_px: [540.0 * scale, 680.0 * scale],
+            projected_px: [90.0 * scale, 250.0 * scale],
+            most_objects: 8,
+            most_others: 6,
+            occluded: 0.25,
+        }
+    }
+
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// Names the first field out of range.
+    pub fn check(&self) -> Result<(), SyntheticError> {
+        let range = |[low, high]: [f64; 2], from: f64, to: f64| low >= from && high <= to && low <= high;
+        let rules = [
+            ("image_px", self.image_px.iter().all(|v| (64..=2048).contains(v)), "two numbers from 64 to 2048"),
+            ("focal_px", range(self.focal_px, 20.0, 20_000.0), "low, high from 20 to 20000"),
+            ("projected_px", range(self.projected_px, 8.0, 2000.0), "low, high from 8 to 2000"),
+            ("most_objects", (1..=64).contains(&self.most_objects), "1 to 64"),
+            ("most_others", self.most_others <= 64, "0 to 64"),
+            ("occluded", (0.0..=1.0).contains(&self.occluded), "a share from 0 to 1"),
+        ];
+        match rules.iter().find(|(_, holds, _)| !holds) {
+            Some((field, _, wanted)) => Err(SyntheticError::Config { field: format!("scenes.{field}"), wanted }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// One object in a [`SceneSample`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SceneInstance {
+    /// The object.
+    pub object_id: u32,
+    /// Its true pose, metres.
+    pub camera_from_object: Pose,
+}
+
+/// One synthetic image and what it shows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneSample {
+    /// The camera's image.
+    pub image: RgbImage,
+    /// Its camera.
+    pub intrinsics: Intrinsics,
+    /// The objects of the set.
+    pub instances: Vec<SceneInstance>,
+    /// For each pixel the instance that is seen there, counted from 1; 0 for anything else.
+    pub owner: Vec<u8>,
+    /// Depth of each pixel, metres; 0 where nothing is.
+    pub depth_m: Vec<f32>,
+}
+
+/// Makes scenes of an object set. A scene depends on the seed and its index only.
+#[derive(Debug, Clone)]
+pub struct SceneGenerator {
+    objects: Arc<ObjectPool>,
+    config: SceneConfig,
+    seed: u64,
+}
+
+impl SceneGenerator {
+    /// # Errors
+    /// When the configuration is out of range.
+    pub fn new(objects: Arc<ObjectSet>, config: SceneConfig, seed: u64) -> Result<Self, SyntheticError> {
+        config.check()?;
+        let objects = Arc::new(ObjectPool::of_sets(std::slice::from_ref(&*objects)));
+        Ok(Self { objects, config, seed })
+    }
+
+    /// The scene with an index.
+    ///
+    /// # Errors
+    /// When the image codec fails.
+    pub fn scene(&self, index: u64) -> Result<SceneSample, SyntheticError> {
+        let mut rng = stream(self.seed ^ 0x5ce7_e5ce, index);
+        let [width, height] = self.config.image_px;
+        let focal = rng.uniform(self.config.focal_px[0], self.config.focal_px[1]);
+        let centre =
+            |size: u32, rng: &mut _| (f64::from(size) - 1.0) / 2.0 + Draw::uniform(rng, -0.02, 0.02) * f64::from(size);
+        let intrinsics = Intrinsics { fx: focal, fy: focal, cx: centre(width, &mut rng), cy: centre(height, &mut rng) };
+        let (photos, look) = (PhotoBank::default(), LookConfig::default());
+        let shapes = ShapeBank::new(self.seed, 0);
+        let stock = Stock { objects: &self.objects, shapes: &shapes, photos: &photos, look: &look };
+        let (scene, placed) = SyntheticScene::draw_whole(&mut rng, &stock, &intrinsics, &self.config)?;
+        let window = Window::whole(&intrinsics, self.config.image_px);
+        let picture = scene.render(&window);
+        // Sensors are drawn for images of 640 pixels.
+        let sensor = Sensor::draw(&mut rng, &CameraConfig::default()).scaled((width as f32 / 640.0).min(1.0));
+        let image = sensor.expose(&picture.light, mean_light(&picture.light), &mut rng);
+        let (owner, depth_m) = owners(&picture, &window, placed.len());
+        let instance = |p: &super::scene::Placed| SceneInstance {
+            object_id: p.object_id,
+            camera_from_object: p.camera_from_object,
+        };
+        Ok(SceneSample { image, intrinsics, instances: placed.iter().map(instance).collect(), owner, depth_m })
+    }
+}
+
+/// Owner and depth of each image pixel, read at its first sample.
+fn owners(picture: &Picture, window: &Window, objects: usize) -> (Vec<u8>, Vec<f32>) {
+    let (n, width, height) = (SAMPLES as usize, window.width as usize, window.height as usize);
+    let place = |i: usize| (i / width * n) * width * n + i % width * n;
+    let known = |owner: u8| if usize::from(owner) <= objects { owner } else { 0 };
+    let seen = &picture.visible;
+    (0..width * height).map(place).map(|at| (known(seen.owner[at]), seen.depth_m(at))).unzip()
+}
