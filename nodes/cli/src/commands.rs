@@ -14,6 +14,7 @@ pub(crate) mod calibrate;
 pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod export;
+#[cfg(feature = "training")]
 mod frames;
 mod inherit;
 pub(crate) mod interface;
