@@ -1,4 +1,4 @@
-//! Every example of `nodes/cli/examples` does what it says.
+//! Every example of `nodes/cli/examples` does what it says, and every library has one of its own.
 #![allow(dead_code, reason = "the examples' own `main` is not called")]
 
 mod common;
@@ -18,6 +18,7 @@ use common::root;
 use nalgebra::Vector3;
 use pseudoflow_geometry::{Pose, rotation_angle_rad};
 use pseudoflow_metrics::{SceneTruth, read_results};
+use std::path::{Path, PathBuf};
 
 #[test]
 fn a_node_of_ones_own_lets_through_what_is_within_reach() {
@@ -74,4 +75,34 @@ fn a_recording_gives_its_poses() {
     assert_eq!((seen[0].stamp_ns, seen[0].object.as_str()), (1_000_000_000, "1"));
     let error = read_poses::poses(&root().join("bags/tabletop_demo"), "/nowhere").expect_err("no such topic");
     assert!(error.to_string().contains("/initial_poses"), "{error}");
+}
+
+fn text(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+fn files(folder: &str) -> impl Iterator<Item = PathBuf> {
+    std::fs::read_dir(root().join(folder)).expect("a folder").flatten().map(|entry| entry.path())
+}
+
+#[test]
+fn every_example_is_short_and_listed() {
+    let page = text(&root().join("docs/examples.md"));
+    for example in files("nodes/cli/examples") {
+        let name = example.file_name().and_then(|name| name.to_str()).expect("a name");
+        assert!(page.contains(&format!("nodes/cli/examples/{name}")), "docs/examples.md does not know {name}");
+        assert!(text(&example).lines().count() < 80, "{name} is too long to be read in one go");
+    }
+}
+
+#[test]
+fn every_library_says_where_to_begin_and_shows_it() {
+    let libraries = files("nodes/shared").chain([root().join("msgs")]).map(|folder| folder.join("src/lib.rs"));
+    for library in libraries {
+        let page: String =
+            text(&library).lines().take_while(|line| line.starts_with("//!")).map(|l| format!("{l}\n")).collect();
+        assert!(page.contains("//! Begin with "), "{}", library.display());
+        let shown = page.contains("//! ```\n") || library.ends_with("msgs/src/lib.rs");
+        assert!(shown, "{}: no example on its page", library.display());
+    }
 }
