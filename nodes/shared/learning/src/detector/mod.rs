@@ -68,8 +68,8 @@ impl Detector {
     }
 
     /// Images (N, 3, H, W) in [-1, 1], H and W multiples of 32, to class logits (N, objects, cells) and corner offsets
-    /// (N, 16 objects, cells), in units of [`Cell::unit_px`] from the cell's centre, and surface points (N, 3 objects,
-    /// cells), in units of [`SURFACE_UNIT`] from the middle of the object's box, and rectangles (N, 4, cells): left, top, right,
+    /// (N, 16 objects, cells), in units of [`Cell::unit_px`](pseudoflow_network::Cell::unit_px) from the cell's centre, and surface points (N, 3 objects,
+    /// cells), in units of [`SURFACE_UNIT`](pseudoflow_network::SURFACE_UNIT) from the middle of the object's box, and rectangles (N, 4, cells): left, top, right,
     /// bottom, as the corners; cells in the order of [`Grid`].
     pub fn forward(&self, images: Tensor<4>) -> [Tensor<3>; 4] {
         self.heads(self.features(images))
