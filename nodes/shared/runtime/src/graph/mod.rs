@@ -1,5 +1,25 @@
 //! Graphs: which nodes run, with what configuration, and whose output feeds whose input. Read from YAML into
 //! strict types; checked against a [`Registry`](crate::Registry) before anything starts.
+//!
+//! ```
+//! use pseudoflow_runtime::Graph;
+//!
+//! let mut graph = Graph::parse(
+//!     "
+//! mode: replay
+//! params: {size_px: 256}
+//! nodes:
+//!   player: {kind: player, config: {source: my_bag}}
+//!   renderer: {kind: renderer, inputs: {frame: player/frame}, config: {size_px: $size_px}}
+//! ",
+//!     "my_graph.yaml".as_ref(),
+//! )?;
+//! graph.set("size_px", "128")?; // as `--set size_px=128`
+//! assert_eq!(graph.nodes["renderer"].inputs["frame"].node, "player");
+//! // What is unknown is an error that says so; whether the nodes fit together says `graph::check`.
+//! assert!(Graph::parse("mode: replay\nwimdow: 3\nnodes: {}", "typo.yaml".as_ref()).is_err());
+//! # Ok::<(), pseudoflow_runtime::GraphError>(())
+//! ```
 
 mod check;
 mod draw;
@@ -34,26 +54,6 @@ pub enum Mode {
 }
 
 /// A graph as its YAML file states it.
-///
-/// ```
-/// use pseudoflow_runtime::Graph;
-///
-/// let mut graph = Graph::parse(
-///     "
-/// mode: replay
-/// params: {size_px: 256}
-/// nodes:
-///   player: {kind: player, config: {source: my_bag}}
-///   renderer: {kind: renderer, inputs: {frame: player/frame}, config: {size_px: $size_px}}
-/// ",
-///     "my_graph.yaml".as_ref(),
-/// )?;
-/// graph.set("size_px", "128")?; // as `--set size_px=128`
-/// assert_eq!(graph.nodes["renderer"].inputs["frame"].node, "player");
-/// // What is unknown is an error that says so; whether the nodes fit together says `graph::check`.
-/// assert!(Graph::parse("mode: replay\nwimdow: 3\nnodes: {}", "typo.yaml".as_ref()).is_err());
-/// # Ok::<(), pseudoflow_runtime::GraphError>(())
-/// ```
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Graph {
