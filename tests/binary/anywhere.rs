@@ -17,7 +17,8 @@ fn pseudoflow(folder: &Path, arguments: &[&str]) -> Output {
 #[test]
 fn shipped_graphs_run_in_an_empty_folder() {
     let tmp = tempfile::tempdir().unwrap();
-    let arguments = ["run", "config/graphs/refine.yaml", "--in-process", "--out", "out", "--set", "player.max_frames=1"];
+    let arguments =
+        ["run", "config/graphs/refine.yaml", "--in-process", "--out", "out", "--set", "player.max_frames=1"];
     let output = pseudoflow(tmp.path(), &arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(tmp.path().join("out").is_dir());

@@ -1,13 +1,13 @@
 //! A bent camera is the same camera live and from a recording: what the bridge hands on of an image that came over DDS, and the player of the
 //! same messages in a bag, are the same bits. So what is measured from a bag holds live.
 
+use pseudoflow_bag::{BagWriter, Packing, Qos};
 use pseudoflow_bridge::{Bridge, BridgeConfig, CameraConfig, DdsEnvironment, Participant, publisher_qos};
 use pseudoflow_msgs::ros::{
     BagMessage, CameraInfo, CompressedImage, Header, Image, RegionOfInterest, RosMessage, Time,
 };
 use pseudoflow_msgs::{CameraFrame, Message};
 use pseudoflow_player::{BagOptions, BagSource, FrameSource};
-use pseudoflow_bag::{BagWriter, Packing, Qos};
 use pseudoflow_runtime::{Context, InMemory, Inputs, Node, Produced};
 use ros2_client::{Name, Publisher};
 use std::path::Path;

@@ -6,8 +6,8 @@
 
 #![allow(clippy::print_stdout, reason = "an example talks to people")]
 
-use pseudoflow_msgs::ros::{Detection3DArray, RosMessage};
 use pseudoflow_bag::{BagError, BagReader};
+use pseudoflow_msgs::ros::{Detection3DArray, RosMessage};
 use std::path::Path;
 
 /// An object in a frame.

@@ -6,6 +6,7 @@
 
 #![allow(clippy::print_stdout, reason = "an example talks to people")]
 
+use pseudoflow_bag::{BagError, BagReader};
 use pseudoflow_contour::{ContourModel, Image, ModelSettings, Refiner, Region, RegionConfig, Task};
 use pseudoflow_geometry::{Intrinsics, Pose, pose_from_quaternion};
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
@@ -13,7 +14,6 @@ use pseudoflow_imaging::{
     INITIAL_COLOUR, ObjectSet, REFINED_COLOUR, RgbImage, decode_rgb, draw_pose_contour, save_png,
 };
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Naming, RosMessage, object_poses};
-use pseudoflow_bag::{BagError, BagReader};
 use std::error::Error;
 use std::path::Path;
 

@@ -1,6 +1,7 @@
 //! What the pass that opens a bag collects of images, cameras and detections, and what it finds wrong with them.
 
 use crate::{BagOptions, PlayerError};
+use pseudoflow_bag::Visited;
 use pseudoflow_edge::camera::Lens;
 use pseudoflow_edge::pixels::check_rgb;
 use pseudoflow_imaging::image_size;
@@ -8,7 +9,6 @@ use pseudoflow_msgs::CameraFrameHeader;
 use pseudoflow_msgs::ros::{
     CameraInfo, CompressedImage, Detection2DArray, Detection3DArray, Header, Image, RosMessage, from_cdr, object_poses,
 };
-use pseudoflow_bag::Visited;
 use std::collections::BTreeMap;
 use std::path::Path;
 

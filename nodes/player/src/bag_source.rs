@@ -1,6 +1,7 @@
 use crate::bag_pass::{Cameras, Pass, SeenImage};
 use crate::source::{FrameFacts, check_sizes};
 use crate::{FrameSource, LoadedFrame, PlayerError};
+use pseudoflow_bag::{BagReader, TopicInfo, TopicNumber};
 use pseudoflow_edge::camera::{LensCache, image_size_px};
 use pseudoflow_edge::pixels::{write_rgb, write_rgb_of_file};
 use pseudoflow_edge::rectangle_of;
@@ -8,7 +9,6 @@ use pseudoflow_msgs::ros::{
     CameraInfo, CompressedImage, Detection2DArray, Detection3DArray, Image, Naming, RosMessage, object_poses,
 };
 use pseudoflow_msgs::{CameraFrameHeader, FRAME_ID_BYTES, ObjectPose, Rectangle};
-use pseudoflow_bag::{BagReader, TopicInfo, TopicNumber};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,5 @@
-use pseudoflow_imaging::ImagingError;
 use pseudoflow_bag::BagError;
+use pseudoflow_imaging::ImagingError;
 use std::path::PathBuf;
 
 /// Why a recording cannot be played.

@@ -1,8 +1,8 @@
 use crate::PlayerError;
 use crate::bop_source::{FRAME_ID, check_frame_sizes, given_poses, stamp_ns};
+use pseudoflow_bag::{BagError, BagWriter, Packing, Partial, Qos, TopicId};
 use pseudoflow_imaging::{BopFrame, BopScene, ImagingError};
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Detection3DArray, Header, Naming, Time, detections};
-use pseudoflow_bag::{BagError, BagWriter, Packing, Partial, Qos, TopicId};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

@@ -1,3 +1,4 @@
+use pseudoflow_bag::{BagWriter, Qos, TopicId};
 use pseudoflow_imaging::{RgbImage, encode_jpeg};
 use pseudoflow_msgs::ros::{
     BagMessage, CameraInfo, CompressedImage, Detection3DArray, DiagnosticArray, Header, Naming, PoseStamped,
@@ -6,7 +7,6 @@ use pseudoflow_msgs::ros::{
 };
 use pseudoflow_msgs::{CameraFrameHeader, ObjectPose, ObjectStatus};
 use pseudoflow_runtime::NodeError;
-use pseudoflow_bag::{BagWriter, Qos, TopicId};
 use std::collections::BTreeMap;
 
 /// The topics of a recording: those alone that get messages.

@@ -3,6 +3,7 @@
 //! `cargo fuzz` runs them from `fuzz_targets` (it needs a nightly compiler); `tests/tests/hostile` runs the same functions
 //! on known bad files and on mutated good ones with the stable compiler, under the budgets below.
 
+use pseudoflow_bag::{BagReader, RecoverOptions, recover};
 use pseudoflow_edge::camera::Lens;
 use pseudoflow_edge::pixels::write_rgb;
 use pseudoflow_imaging::{decode_rgb, image_size, load_obj, load_ply, read_initial_poses};
@@ -12,7 +13,6 @@ use pseudoflow_msgs::ros::{
     from_cdr, object_poses,
 };
 use pseudoflow_network::Weights;
-use pseudoflow_bag::{BagReader, RecoverOptions, recover};
 use pseudoflow_runtime::{Graph, Registry, graph};
 use std::path::{Path, PathBuf};
 

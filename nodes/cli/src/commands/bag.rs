@@ -1,6 +1,6 @@
 use anyhow::Result;
-use pseudoflow_player::{FromBop, from_bop};
 use pseudoflow_bag::{BagReader, RecoverOptions, recover};
+use pseudoflow_player::{FromBop, from_bop};
 use std::path::PathBuf;
 use std::process::ExitCode;
 

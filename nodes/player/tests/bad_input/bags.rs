@@ -1,9 +1,9 @@
 //! Recordings whose images, calibrations or topics cannot be used.
 
 use crate::recordings::*;
+use pseudoflow_bag::{BagWriter, Packing};
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Image};
 use pseudoflow_player::{InitialPoses, PlayerConfig};
-use pseudoflow_bag::{BagWriter, Packing};
 
 #[test]
 fn good_recordings_play_at_random_in_every_encoding() {

@@ -1,12 +1,12 @@
 //! Good recordings, which a test spoils in one place, and what the player says to them.
 
+use pseudoflow_bag::{BagWriter, Packing, Qos};
 use pseudoflow_imaging::{RgbImage, encode_jpeg, encode_png};
 use pseudoflow_msgs::ros::{
     BagMessage, CameraInfo, CompressedImage, Detection3DArray, Header, Image, Naming, Time, detections,
 };
 use pseudoflow_msgs::{CameraFrame, Message, ObjectPose, ObjectPoses, PoseSource, PoseStatus};
 use pseudoflow_player::{InitialPoses, PlayerConfig, PlayerNode};
-use pseudoflow_bag::{BagWriter, Packing, Qos};
 use pseudoflow_runtime::{Context, InMemory, Node, Produced};
 use std::path::{Path, PathBuf};
 

@@ -1,10 +1,10 @@
 //! BOP scenes, and the bags that are made of them.
 
 use crate::recordings::*;
+use pseudoflow_bag::BagReader;
 use pseudoflow_imaging::encode_jpeg;
 use pseudoflow_msgs::ros::CompressedImage;
 use pseudoflow_player::{FromBop, InitialPoses, PlayerConfig, from_bop};
-use pseudoflow_bag::BagReader;
 use std::path::Path;
 
 #[test]

@@ -1,6 +1,6 @@
 use super::*;
-use pseudoflow_msgs::{AlignedBytes, CameraFrameHeader, FrameKey, Message as _};
 use pseudoflow_bag::BagReader;
+use pseudoflow_msgs::{AlignedBytes, CameraFrameHeader, FrameKey, Message as _};
 use pseudoflow_runtime::{BadInput, InMemory};
 
 fn frame(index: u64) -> InMemory {

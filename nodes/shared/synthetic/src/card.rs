@@ -65,7 +65,8 @@ impl Statements {
         }
         let text = std::fs::read_to_string(&path).map_err(SyntheticError::io(&path))?;
         let read = serde_json::from_str(&text);
-        read.map(Self).map_err(|error| SyntheticError::Message(format!("{}: {error}; mend or remove it", path.display())))
+        read.map(Self)
+            .map_err(|error| SyntheticError::Message(format!("{}: {error}; mend or remove it", path.display())))
     }
 
     /// Nothing is stated.

@@ -38,13 +38,13 @@ fn lowest(arms: &[Vector3<f32>], down: &Vector3<f32>) -> Option<Vector3<f32>> {
 mod tests {
     use super::super::ObjectPool;
     use super::super::random::stream;
-    use super::super::tests::write_objects;
     use super::*;
+    use crate::write_sample_objects;
 
     #[test]
     fn a_box_comes_to_rest_on_a_face() {
         let folder = tempfile::tempdir().unwrap();
-        let pool = ObjectPool::load(&[write_objects(folder.path())]).unwrap();
+        let pool = ObjectPool::load(&[write_sample_objects(folder.path()).unwrap()]).unwrap();
         let mut flat = 0;
         for index in 0..60 {
             let down = draw_down(&mut stream(3, index), pool.at(0));

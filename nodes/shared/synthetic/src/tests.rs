@@ -1,6 +1,5 @@
 use super::*;
 use nalgebra::{Point2, Point3};
-use std::path::{Path, PathBuf};
 
 /// Of the two objects alone.
 fn own_objects() -> SynthConfig {
@@ -150,7 +149,7 @@ fn jitter_has_the_stated_spread() {
 #[test]
 fn a_pool_takes_folders_with_the_same_ids() {
     let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let folders = [write_objects(one.path()), write_objects(two.path())];
+    let folders = [one.path(), two.path()].map(|folder| crate::write_sample_objects(folder).unwrap());
     let pool = ObjectPool::load(&folders).unwrap();
     assert_eq!(pool.len(), 4);
     assert_eq!(pool.names().iter().collect::<std::collections::BTreeSet<_>>().len(), 4, "{:?}", pool.names());

@@ -1,12 +1,12 @@
 //! A rendered scene seen by other cameras at the same place: turned, zoomed, shifted, with other colours. All of it is
 //! exact, as a camera that only turns sees the same rays.
 
-use pseudoflow_synthetic::SceneSample;
 use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, standard_normal};
 use pseudoflow_imaging::{BACKGROUND_GREY, Object, ObjectSet, RgbImage};
 use pseudoflow_learning::{InstanceTruth, SceneTruth};
 use pseudoflow_network::{CORNERS, Grid};
+use pseudoflow_synthetic::SceneSample;
 use rand::Rng;
 
 /// One image of a batch, and what it shows.

@@ -1,8 +1,8 @@
 use crate::PretrainError;
 use crate::pretrain::WarmStart;
-use pseudoflow_synthetic::SceneConfig;
 use pseudoflow_learning::Trunk;
 use pseudoflow_network::{ComputeDevice, DetectorConfig};
+use pseudoflow_synthetic::SceneConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -90,7 +90,7 @@ impl InitializerTraining {
         ];
         match rules.iter().find(|(_, holds, _)| !holds) {
             Some((field, _, wanted)) => Err(PretrainError::Config { field: (*field).to_owned(), wanted }),
-            None => self.scenes.as_ref().map_or(Ok(()), SceneConfig::check),
+            None => Ok(self.scenes.as_ref().map_or(Ok(()), SceneConfig::check)?),
         }
     }
 

@@ -4,10 +4,10 @@
 use super::InitializerTraining;
 use super::augment::{Example, example};
 use crate::PretrainError;
-use pseudoflow_synthetic::{SceneGenerator, SceneSample};
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_learning::SceneTruth;
 use pseudoflow_network::Grid;
+use pseudoflow_synthetic::{SceneGenerator, SceneSample};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -129,7 +129,7 @@ fn render(
 ) {
     for index in indices {
         let start = Instant::now();
-        let scene = generator.scene(index);
+        let scene = generator.scene(index).map_err(PretrainError::from);
         busy_us.fetch_add(start.elapsed().as_micros() as u64, Ordering::Relaxed);
         let failed = scene.is_err();
         if sender.send(scene).is_err() || failed {

@@ -3,10 +3,10 @@
 use super::InitializerTraining;
 use super::augment::{Example, example};
 use crate::PretrainError;
-use pseudoflow_synthetic::SceneGenerator;
 use image::Rgb;
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_network::{DetectorConfig, Grid};
+use pseudoflow_synthetic::SceneGenerator;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;

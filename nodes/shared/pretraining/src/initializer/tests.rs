@@ -20,7 +20,11 @@ fn tiny(folder: &Path) -> InitializerTraining {
         warm_start: WarmStart::Random,
         device: ComputeDevice::Cpu,
         scenes: Some(scenes),
-        ..InitializerTraining::new(write_sample_objects(folder).unwrap(), &network.to_string_lossy(), folder.join("w.safetensors"))
+        ..InitializerTraining::new(
+            write_sample_objects(folder).unwrap(),
+            &network.to_string_lossy(),
+            folder.join("w.safetensors"),
+        )
     }
 }
 

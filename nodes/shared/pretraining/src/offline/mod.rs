@@ -24,7 +24,11 @@ pub(crate) trait Training {
 }
 
 /// Takes the steps that are left until the last one, or until somebody wants to stop, and saves.
-pub(crate) fn train(training: &mut impl Training, steps: u64, progress: &mut dyn Progress) -> Result<(), PretrainError> {
+pub(crate) fn train(
+    training: &mut impl Training,
+    steps: u64,
+    progress: &mut dyn Progress,
+) -> Result<(), PretrainError> {
     progress.start(training.step(), steps);
     while training.step() < steps && !progress.should_stop() {
         let news = training.advance();

@@ -1,7 +1,7 @@
 use crate::PretrainError;
-use pseudoflow_synthetic::SynthConfig;
 use pseudoflow_learning::{Plateau, Schedule, TrainConfig};
 use pseudoflow_network::{Architecture, ComputeDevice, FlowNetwork};
+use pseudoflow_synthetic::SynthConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -215,7 +215,7 @@ impl PretrainConfig {
         ];
         match rules.iter().find(|(_, holds, _)| !holds) {
             Some((field, _, wanted)) => Err(PretrainError::Config { field: (*field).to_owned(), wanted }),
-            None => self.synth.check(),
+            None => Ok(self.synth.check()?),
         }
     }
 

@@ -2,10 +2,10 @@
 
 use super::{PretrainConfig, SizeShare};
 use crate::PretrainError;
-use pseudoflow_synthetic::{Sample, SampleGenerator};
 use pseudoflow_imaging::RgbImage;
 use pseudoflow_learning::{FlowBatch, RefinerBatch};
 use pseudoflow_network::{REFERENCE_CHANNELS, reference_geometry};
+use pseudoflow_synthetic::{Sample, SampleGenerator};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, VecDeque};
@@ -333,7 +333,7 @@ impl Shared {
 
     fn make(&self, generator: &SampleGenerator, scene: Scene) {
         let start = Instant::now();
-        let samples = generator.scene(scene.index(), scene.size_px as u32);
+        let samples = generator.scene(scene.index(), scene.size_px as u32).map_err(PretrainError::from);
         self.busy_us.fetch_add(start.elapsed().as_micros() as u64, Ordering::Relaxed);
         self.made.fetch_add(samples.as_ref().map_or(0, |s| s.len() as u64), Ordering::Relaxed);
         self.lock().done.insert(scene, samples);

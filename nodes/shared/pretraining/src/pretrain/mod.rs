@@ -15,13 +15,13 @@ pub(crate) use config::shipped;
 pub use config::{Course, PretrainConfig, SHIPPED_REFINER, SHIPPED_WEIGHTS, SizeShare, WarmStart};
 
 use crate::PretrainError;
-use pseudoflow_network::storage::write_atomically;
 use crate::offline::{self, Curve, Progress, Row, RunLog, Training};
-use pseudoflow_synthetic::{ObjectPool, SampleGenerator};
 use data::Prefetch;
 pub(crate) use data::push_planes;
 use networks::PairNetwork;
+use pseudoflow_network::storage::write_atomically;
 use pseudoflow_network::{ComputeDevice, FlowNetwork};
+use pseudoflow_synthetic::{ObjectPool, SampleGenerator};
 use run::Run;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

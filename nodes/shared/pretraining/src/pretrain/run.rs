@@ -6,9 +6,9 @@ use super::validation::Validation;
 use super::{Course, PretrainConfig, PretrainSummary, StepReport, describe, recent};
 use crate::PretrainError;
 use crate::offline::{RunLog, check_same_run, keep_description};
-use pseudoflow_synthetic::ObjectPool;
 use pseudoflow_learning::{OpenDevice, TrainState};
 use pseudoflow_network::{FlowNetwork, Weights};
+use pseudoflow_synthetic::ObjectPool;
 use std::path::PathBuf;
 
 /// Name of the moving average in a checkpoint.

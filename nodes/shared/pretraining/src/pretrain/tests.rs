@@ -9,8 +9,11 @@ fn tiny(folder: &Path) -> PretrainConfig {
     let network = folder.join("tiny.yaml");
     let yaml = "name: tiny\narch: small\nsize_px: 64\niterations_train: 2\niterations_infer: 2\n";
     fs::write(&network, yaml).unwrap();
-    let mut config =
-        PretrainConfig::new(vec![write_sample_objects(folder).unwrap()], &network.to_string_lossy(), folder.join("w.safetensors"));
+    let mut config = PretrainConfig::new(
+        vec![write_sample_objects(folder).unwrap()],
+        &network.to_string_lossy(),
+        folder.join("w.safetensors"),
+    );
     (config.steps, config.batch, config.warm_start) = (4, 2, WarmStart::Random);
     config.device = ComputeDevice::Cpu;
     config.sizes = vec![SizeShare { size_px: 64, weight: 1.0 }, SizeShare { size_px: 72, weight: 1.0 }];

@@ -5,8 +5,8 @@ use super::data::{Batch, Schedule};
 use super::networks::PairNetwork;
 use crate::PretrainError;
 use crate::offline::{Curve, Row, RunLog};
-use pseudoflow_synthetic::{ObjectPool, Sample, SampleGenerator};
 use pseudoflow_network::Weights;
+use pseudoflow_synthetic::{ObjectPool, Sample, SampleGenerator};
 use std::sync::Arc;
 
 /// Pairs that are measured at each crop size, in batches of [`BATCH`]; the same at every time and for every seed.

@@ -15,9 +15,9 @@ use std::sync::Arc;
 
 /// An object at its place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::synth) struct Placed {
-    pub(in crate::synth) object_id: u32,
-    pub(in crate::synth) camera_from_object: Pose,
+pub(crate) struct Placed {
+    pub(crate) object_id: u32,
+    pub(crate) camera_from_object: Pose,
 }
 
 /// Things that do not touch: centres and radii, metres.
@@ -45,7 +45,7 @@ struct Table<'a> {
 
 impl SyntheticScene {
     /// Draws a scene of several objects; the first things are those of the returned list, in its order.
-    pub(in crate::synth) fn draw_whole(
+    pub(crate) fn draw_whole(
         rng: &mut impl Rng,
         stock: &Stock<'_>,
         intrinsics: &Intrinsics,

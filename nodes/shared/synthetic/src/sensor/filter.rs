@@ -2,20 +2,20 @@
 
 /// An image in linear light: `height` rows of `width` RGB triples.
 #[derive(Debug, Clone, PartialEq)]
-pub(in crate::synth) struct LinearImage {
-    pub(in crate::synth) width: usize,
-    pub(in crate::synth) height: usize,
-    pub(in crate::synth) data: Vec<f32>,
+pub(crate) struct LinearImage {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) data: Vec<f32>,
 }
 
 impl LinearImage {
     /// A black image.
-    pub(in crate::synth) fn new(width: usize, height: usize) -> Self {
+    pub(crate) fn new(width: usize, height: usize) -> Self {
         Self { width, height, data: vec![0.0; 3 * width * height] }
     }
 
     /// A part of it; must lie within.
-    pub(in crate::synth) fn part(&self, x0: usize, y0: usize, width: usize, height: usize) -> Self {
+    pub(crate) fn part(&self, x0: usize, y0: usize, width: usize, height: usize) -> Self {
         let rows = (y0..y0 + height).flat_map(|y| &self.data[3 * (y * self.width + x0)..][..3 * width]);
         Self { width, height, data: rows.copied().collect() }
     }

@@ -17,11 +17,11 @@ const CHROMA: [u8; 64] = [
 
 /// Settings of a JPEG encoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::synth) struct Jpeg {
+pub(crate) struct Jpeg {
     /// 1 to 100, as libjpeg counts.
-    pub(in crate::synth) quality: u8,
+    pub(crate) quality: u8,
     /// Whether colour has half the resolution (4:2:0), as cameras write it.
-    pub(in crate::synth) subsampled: bool,
+    pub(crate) subsampled: bool,
 }
 
 /// One plane of values around 0, a multiple of 8 wide and high.
