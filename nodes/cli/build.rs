@@ -8,7 +8,7 @@ fn main() {
     for folder in ["../../config", "../../bags"] {
         println!("cargo:rerun-if-changed={folder}");
         for file in files(Path::new(folder)) {
-            // Names and sizes of all, and the bytes of the smaller ones: weights of equal size are told apart by their ends.
+            // Names, sizes and a sample of the bytes tell files apart.
             let bytes = std::fs::read(&file).unwrap_or_default();
             let name = file.display().to_string();
             for byte in name.bytes().chain(bytes.len().to_le_bytes()).chain(sample(&bytes)) {

@@ -22,7 +22,8 @@ fn start(out: &Path) -> Child {
         "frames_per_step=2".into(),
         "publish_every=1".into(),
         "size_px=64".into(),
-        "iterations=4".into(),
+        "look_flow.iterations=4".into(),
+        "flow.iterations=4".into(),
         "tau=16".into(),
         "window=6".into(),
     ];

@@ -1,5 +1,7 @@
 //! Recordings: rosbag2 directories with the mcap storage, as `ros2 bag`, `rosbags`, Foxglove and rerun read them.
 //!
+//! Begin with [`BagWriter`] or [`BagReader`].
+//!
 //! - [`BagWriter`] writes one chunk for each frame, so that a frame is in the file whole or not at all, and takes up
 //!   a bag whose writer died.
 //! - [`BagReader`] checks the whole bag when it is opened (every checksum, holding one chunk at a time) and then

@@ -5,7 +5,7 @@
 //! camera's resolution (a far object is a *magnified* crop), in linear light, with other things before and behind
 //! the object, shadows, lens, noise and JPEG; only then it is resampled by the very function that crops real frames.
 //!
-//! One scene (objects, light, camera) is shaded once and serves several pairs, each with its own reference pose, crop,
+//! Begin with [`SampleGenerator`]. One scene (objects, light, camera) is shaded once and serves several pairs, each with its own reference pose, crop,
 //! colours of the reference and settings of the sensor. Everything is a function of the seed and an index.
 //!
 //! ```
