@@ -10,6 +10,8 @@ trap 'kill $(jobs -p) 2>/dev/null || true; wait; rm -rf "$folder"' EXIT
 # works BINARY SHARE NAME: in SHARE, where config/ is.
 works() {
     echo "== $3"
+    # What the binary carries may not stand in for what is missing there.
+    export PSEUDOFLOW_SHARE=$2
     (cd "$2" && for graph in config/graphs/*.yaml; do "$1" check "$graph" >/dev/null; done)
     (cd "$2" && exec "$1" run config/graphs/live_track.yaml --out "$folder/$3.run" --ros-args -p camera.image:=/camera/image_raw) >"$folder/$3.log" 2>&1 &
     local run=$!

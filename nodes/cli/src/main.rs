@@ -68,6 +68,8 @@ fn registry() -> Registry {
         .with::<pseudoflow_recorder::RecorderNode>();
     #[cfg(feature = "training")]
     let registry = registry.with::<pseudoflow_trainer::TrainerNode>();
+    #[cfg(not(feature = "training"))]
+    let registry = registry.without("trainer", "this binary cannot train: build it with its feature `training`");
     registry
 }
 

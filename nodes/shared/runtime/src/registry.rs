@@ -9,6 +9,8 @@ use std::path::Path;
 #[derive(Debug, Default, Clone)]
 pub struct Registry {
     kinds: IndexMap<&'static str, Kind>,
+    /// Kinds that this binary could have, and how to get them.
+    absent: IndexMap<&'static str, &'static str>,
 }
 
 /// A node type without its type.
@@ -71,6 +73,13 @@ impl Registry {
         self
     }
 
+    /// Says of a kind that this binary was built without how to get it, for the message about a graph that names it.
+    #[must_use]
+    pub fn without(mut self, kind: &'static str, remedy: &'static str) -> Self {
+        self.absent.insert(kind, remedy);
+        self
+    }
+
     /// Names of the kinds, in the order in which they were added.
     pub fn names(&self) -> impl Iterator<Item = &'static str> + '_ {
         self.kinds.keys().copied()
@@ -87,6 +96,11 @@ impl Registry {
 
     pub(crate) fn kinds(&self) -> impl Iterator<Item = &Kind> {
         self.kinds.values()
+    }
+
+    /// What [`Self::without`] said of a kind.
+    pub(crate) fn remedy(&self, kind: &str) -> Option<&'static str> {
+        self.absent.get(kind).copied()
     }
 
     pub(crate) fn kind(&self, name: &str) -> Option<&Kind> {

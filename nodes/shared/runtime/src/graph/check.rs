@@ -74,8 +74,8 @@ impl<'a> Check<'a> {
                 self.report(Some(i), "name", "not a name that services and folders can carry".into(), remedy);
             }
             if self.wiring.nodes[i].kind.is_none() {
-                let (what, remedy) = (format!("no kind of node is called `{kind}`"), one_of(&known));
-                self.report(Some(i), "kind", what, remedy);
+                let remedy = registry.remedy(kind).map_or_else(|| one_of(&known), str::to_owned);
+                self.report(Some(i), "kind", format!("no kind of node is called `{kind}`"), remedy);
             }
             let (nice, threads) = (self.wiring.nodes[i].spec.nice, self.wiring.nodes[i].spec.threads);
             if nice > 19 {

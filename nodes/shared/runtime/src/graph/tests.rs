@@ -96,6 +96,18 @@ fn a_good_graph_has_no_problems_and_survives_a_round_trip() {
 }
 
 #[test]
+fn a_kind_that_the_binary_was_built_without_is_not_called_a_slip() {
+    let graph = parse(&GOOD.replace("kind: refiner", "kind: trainer"));
+    let registry = registry().without("trainer", "build it with `training`");
+    let problems = check(&graph, &registry).unwrap_err();
+    assert!(
+        problems[0].to_string().ends_with("no kind of node is called `trainer`: build it with `training`"),
+        "{}",
+        problems[0]
+    );
+}
+
+#[test]
 fn every_problem_names_file_node_field_and_remedy() {
     let cases = [
         (
