@@ -76,6 +76,17 @@ pub(crate) fn gradients_with<M: Trainable>(
     Ok((by_name.collect(), others))
 }
 
+/// Pictures (n, channels, S, S) on a device from a plain slice; `name` is named in the error.
+///
+/// # Errors
+/// The slice has another length.
+pub(crate) fn pictures(name: &str, data: &[f32], shape: [usize; 4], device: &Device) -> Result<Tensor<4>> {
+    if data.len() != shape.iter().product::<usize>() {
+        return Err(NetworkError::Batch(format!("`{name}` has {} values, {shape:?} needed", data.len())));
+    }
+    Ok(Tensor::from_data(TensorData::new(data.to_vec(), shape), device))
+}
+
 /// The values of several tensors in one transfer.
 ///
 /// # Errors

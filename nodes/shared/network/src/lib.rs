@@ -37,5 +37,5 @@ pub use flow_network::FlowNetwork;
 pub use model::{BATCH_NORM_EPSILON, Init, Model, TensorSpec};
 pub use onnx::{ExportOptions, Pictures, export_detector, export_onnx, export_refiner, is_refiner_onnx};
 pub use refiner::{REFERENCE_CHANNELS, RefinerConfig, reference_geometry};
-pub use upsampling::align_corners_matrix;
+pub use upsampling::{UPSAMPLING, align_corners_matrix};
 pub use weights::{NamedTensor, Weights, WeightsInfo};

@@ -1,11 +1,11 @@
 //! RAFT-small's upsampling of the flow: eight times bilinear with `align_corners`, values times 8.
 
 /// Upsampling factor of the feature resolution.
-const FACTOR: usize = 8;
+pub const UPSAMPLING: usize = 8;
 
 /// The (8 n, n) interpolation matrix A, row-major.
 pub fn align_corners_matrix(n: usize) -> Vec<f32> {
-    let fine = FACTOR * n;
+    let fine = UPSAMPLING * n;
     let mut a = vec![0.0; fine * n];
     for i in 0..fine {
         let position = (i * (n - 1)) as f64 / (fine - 1) as f64;

@@ -7,6 +7,7 @@ pub(crate) mod tests;
 pub use loss::{DetectionLoss, DetectorOutput, InstanceTruth, LossWeights, SceneTruth, detection_loss};
 
 use crate::model::{Parameter, Source, Trainable, read_together};
+use crate::ops;
 use crate::raft::{Block, Conv, Norm, forward_normed, normed_conv};
 use crate::train::{StepStats, TrainState};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -90,7 +91,7 @@ impl Detector {
             levels.push(lateral.forward(x.clone(), false));
         }
         for level in (1..levels.len()).rev() {
-            levels[level - 1] = levels[level - 1].clone() + double(levels[level].clone());
+            levels[level - 1] = levels[level - 1].clone() + ops::double(levels[level].clone());
         }
         let heads = levels.into_iter().map(|x| {
             let x = self.tower.iter().fold(x, |x, conv| conv.forward(x, true));
@@ -100,12 +101,6 @@ impl Detector {
         let by_level: Vec<[Tensor<3>; 4]> = heads.collect();
         [0, 1, 2, 3].map(|i| Tensor::cat(by_level.iter().map(|heads| heads[i].clone()).collect(), 2))
     }
-}
-
-/// Every pixel becomes four.
-fn double(x: Tensor<4>) -> Tensor<4> {
-    let [n, c, h, w] = x.dims();
-    x.reshape([n, c, h, 1, w, 1]).expand([n, c, h, 2, w, 2]).reshape([n, c, 2 * h, 2 * w])
 }
 
 fn flat(x: Tensor<4>) -> Tensor<3> {

@@ -1,12 +1,12 @@
 //! Learned upsampling (Teed and Deng, RAFT, section 3.3) of any number of channels.
 
 use super::math::exp;
-use super::upsample::FACTOR;
 use super::{Array, BackwardCall, Kernel, View, vectorize};
+use pseudoflow_network::UPSAMPLING;
 use rayon::prelude::*;
 
 /// Fine pixels of a coarse one, and the coarse ones that they mix.
-const FINE: usize = FACTOR * FACTOR;
+const FINE: usize = UPSAMPLING * UPSAMPLING;
 const NEIGHBOURS: usize = 9;
 
 /// Each fine pixel is a convex combination of the 3x3 coarse pixels around it, zeros outside. Inputs: x (N, C, h, w), logits
@@ -65,10 +65,10 @@ fn each_row([h, w]: [usize; 2], k: usize, mut f: impl FnMut(usize, usize, usize)
 #[inline(always)]
 fn to_fine(sorted: &[f32], [h, w]: [usize; 2], plane: &mut [f32]) {
     for (fine, values) in sorted.chunks_exact(h * w).enumerate() {
-        let (fy, fx) = (fine / FACTOR, fine % FACTOR);
+        let (fy, fx) = (fine / UPSAMPLING, fine % UPSAMPLING);
         for (y, row) in values.chunks_exact(w).enumerate() {
-            let line = &mut plane[(y * FACTOR + fy) * w * FACTOR..][..w * FACTOR];
-            line[fx..].iter_mut().step_by(FACTOR).zip(row).for_each(|(p, v)| *p = *v);
+            let line = &mut plane[(y * UPSAMPLING + fy) * w * UPSAMPLING..][..w * UPSAMPLING];
+            line[fx..].iter_mut().step_by(UPSAMPLING).zip(row).for_each(|(p, v)| *p = *v);
         }
     }
 }
@@ -78,10 +78,10 @@ fn to_fine(sorted: &[f32], [h, w]: [usize; 2], plane: &mut [f32]) {
 fn from_fine(plane: &[f32], [h, w]: [usize; 2]) -> Vec<f32> {
     let mut sorted = vec![0.0; FINE * h * w];
     for (fine, values) in sorted.chunks_exact_mut(h * w).enumerate() {
-        let (fy, fx) = (fine / FACTOR, fine % FACTOR);
+        let (fy, fx) = (fine / UPSAMPLING, fine % UPSAMPLING);
         for (y, row) in values.chunks_exact_mut(w).enumerate() {
-            let line = &plane[(y * FACTOR + fy) * w * FACTOR..][..w * FACTOR];
-            row.iter_mut().zip(line[fx..].iter().step_by(FACTOR)).for_each(|(v, p)| *v = *p);
+            let line = &plane[(y * UPSAMPLING + fy) * w * UPSAMPLING..][..w * UPSAMPLING];
+            row.iter_mut().zip(line[fx..].iter().step_by(UPSAMPLING)).for_each(|(v, p)| *v = *p);
         }
     }
     sorted
@@ -147,7 +147,7 @@ impl Kernel for ConvexUpsample {
         let [x, logits] = [inputs[0], inputs[1]];
         let [n, c, h, w] = x.nchw();
         assert_eq!(logits.shape, [n, NEIGHBOURS * FINE, h, w], "shape of the upsampling logits");
-        let mut y = Array::zeros(&[n, c, FACTOR * h, FACTOR * w]);
+        let mut y = Array::zeros(&[n, c, UPSAMPLING * h, UPSAMPLING * w]);
         let each = NEIGHBOURS * FINE * h * w;
         let mut weights = vec![0.0; logits.data.len()];
         let parts = y.data.par_chunks_mut(c * FINE * h * w).zip(weights.par_chunks_mut(each));

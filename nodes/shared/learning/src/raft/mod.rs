@@ -15,12 +15,12 @@ pub(crate) use correlation::{Pyramid, grid};
 pub(crate) use encoder::{Block, Norm, forward_normed, normed_conv};
 
 use crate::guard::guarded_on;
-use crate::model::{Parameter, Source, Trainable, read_together};
+use crate::model::{Parameter, Source, Trainable, pictures, read_together};
 use crate::ops;
-use burn::tensor::{Device, Tensor, TensorData, activation};
+use burn::tensor::{Device, Tensor, activation};
 use encoder::Encoder;
 use pseudoflow_network::layout::raft::LEVELS;
-use pseudoflow_network::{Architecture, NetworkConfig, NetworkError, Result, Weights};
+use pseudoflow_network::{Architecture, NetworkConfig, Result, Weights};
 use update::UpdateBlock;
 
 /// RAFT with its weights on a device. On a device with autodiff every trained tensor requires a gradient.
@@ -82,13 +82,7 @@ impl Raft {
         device: &Device,
     ) -> Result<Vec<f32>> {
         NetworkConfig::check_size(size_px)?;
-        let image = |name: &str, data: &[f32]| {
-            let shape = [n, 3, size_px, size_px];
-            if data.len() != shape.iter().product::<usize>() {
-                return Err(NetworkError::Batch(format!("`{name}` has {} values, {shape:?} needed", data.len())));
-            }
-            Ok(Tensor::<4>::from_data(TensorData::new(data.to_vec(), shape), device))
-        };
+        let image = |name, data| pictures(name, data, [n, 3, size_px, size_px], device);
         guarded_on(device, || {
             let flow = self.infer(image("reference", reference)?, image("real", real)?, iterations);
             Ok(read_together([flow])?.remove(0))

@@ -2,6 +2,7 @@
 //! intermediate tensors of RAFT-small as its authors trained it.
 
 use super::*;
+use burn::tensor::TensorData;
 use pseudoflow_network::Model as _;
 use pseudoflow_network::NamedTensor;
 use pseudoflow_network::storage::parse;

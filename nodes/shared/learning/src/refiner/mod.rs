@@ -15,13 +15,13 @@ pub use batch::{DeviceRefinerBatch, RefinerBatch};
 pub(crate) use train::coarse_loss;
 
 use crate::guard::guarded_on;
-use crate::model::{Parameter, Source, Trainable, read_together};
+use crate::model::{Parameter, Source, Trainable, pictures, read_together};
 use crate::ops;
 use crate::raft::{Conv, Pyramid};
-use burn::tensor::{Device, Tensor, TensorData, activation};
+use burn::tensor::{Device, Tensor, activation};
 use encoder::{Features, GlobalLook, Trunk};
 use pseudoflow_network::layout::refiner::{LEVELS, RADIUS, WIDTHS};
-use pseudoflow_network::{NetworkError, REFERENCE_CHANNELS, RefinerConfig, Result, Weights};
+use pseudoflow_network::{REFERENCE_CHANNELS, RefinerConfig, Result, Weights};
 use update::Update;
 
 /// The refiner with its weights on a device. On a device with autodiff every trained tensor requires a gradient.
@@ -67,11 +67,11 @@ impl Refiner {
         let pyramid = self.pyramid(&features);
         let (first, global) = self.global.forward(&features.coarse);
         let [fine_reference, _] = features.halves(&features.fine);
-        let context = self.context.forward(Tensor::cat(vec![fine_reference, double(global)], 1), false);
+        let context = self.context.forward(Tensor::cat(vec![fine_reference, ops::double(global)], 1), false);
         let mut hidden = context.clone().narrow(1, 0, WIDTHS.hidden).tanh();
         let context = self.update.context(activation::relu(context.narrow(1, WIDTHS.hidden, WIDTHS.context)));
         // Coarse pixels of the first flow are twice as large.
-        let mut flow = double(first) * 2.0;
+        let mut flow = ops::double(first) * 2.0;
         let mut coarse = vec![flow.clone()];
         for i in 0..iterations {
             flow = flow.detach();
@@ -110,26 +110,13 @@ impl Refiner {
         device: &Device,
     ) -> Result<Vec<f32>> {
         RefinerConfig::check_size(size_px)?;
-        let tensor = |name: &str, data: &[f32], channels: usize| {
-            let shape = [n, channels, size_px, size_px];
-            if data.len() != shape.iter().product::<usize>() {
-                return Err(NetworkError::Batch(format!("`{name}` has {} values, {shape:?} needed", data.len())));
-            }
-            Ok(Tensor::<4>::from_data(TensorData::new(data.to_vec(), shape), device))
-        };
+        let tensor = |name, data, channels| pictures(name, data, [n, channels, size_px, size_px], device);
         guarded_on(device, || {
             let [reference, real] = [tensor("reference", reference, REFERENCE_CHANNELS)?, tensor("real", real, 3)?];
             let prediction = self.forward(reference, real, iterations).prediction;
             Ok(read_together([prediction])?.remove(0))
         })
     }
-}
-
-/// Every pixel becomes four.
-fn double(x: Tensor<4>) -> Tensor<4> {
-    let [n, c, h, w] = x.dims();
-    let wide: Tensor<6> = x.reshape([n, c, h, 1, w, 1]);
-    wide.expand([n, c, h, 2, w, 2]).reshape([n, c, 2 * h, 2 * w])
 }
 
 impl Trainable for RefinerConfig {
