@@ -8,8 +8,9 @@ use crate::model::{Trainable, gradients_with};
 use crate::refiner::tests as refiner;
 use crate::refiner::train::refiner_loss;
 use crate::train::tests::{batch, data, tiny};
-use crate::{Grid, LossWeights, NetworkConfig, Raft, Refiner, TrainConfig, TrainState, Trunk, Weights, sequence_loss};
+use crate::{LossWeights, Raft, Refiner, TrainConfig, TrainState, Trunk, sequence_loss};
 use burn::tensor::Tensor;
+use pseudoflow_network::{Grid, NetworkConfig, Weights};
 
 /// Flow, px: largest difference.
 const FLOW_PX: f32 = 2e-3;
@@ -21,7 +22,7 @@ const STEP: f64 = 0.02;
 
 /// The first adapter, also one that computes on the processor.
 fn adapter() -> Device {
-    let open = ComputeDevice::Vulkan(Some(0)).open();
+    let open = OpenDevice::open(ComputeDevice::Vulkan(Some(0)));
     open.unwrap_or_else(|error| panic!("these tests want a Vulkan adapter (Debian: mesa-vulkan-drivers): {error}"))
         .device
 }
@@ -79,7 +80,7 @@ fn gradient_on(device: &Device, config: &NetworkConfig, weights: &Weights) -> Gr
     in_order(config, &raft, sequence_loss(&flows, &batch, 0.8))
 }
 
-fn in_order<M: Model>(config: &M, network: &M::Network, loss: Tensor<1>) -> Gradients {
+fn in_order<M: Trainable>(config: &M, network: &M::Network, loss: Tensor<1>) -> Gradients {
     let (mut by_name, _) = gradients_with::<M>(network, &loss.backward(), vec![]).unwrap();
     let names = config.layout().into_iter().map(|spec| spec.name);
     names.filter_map(|name| by_name.remove(&name).map(|grad| (name, grad))).collect()
