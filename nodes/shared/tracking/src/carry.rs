@@ -31,8 +31,15 @@ impl Tracker {
             if !search {
                 self.tracks[i].asked_ns = None;
             }
-            let start = self.carried(i, correction, predicted, &now.frame.intrinsics);
-            let trial = self.try_at(i, now, &start, poses);
+            let followed = best.filter(|own| !search && self.follows(i, own));
+            let start = match followed.and_then(|own| self.moved_with(i, &own.pose, correction)) {
+                Some(start) => start,
+                None => self.carried(i, correction, predicted, &now.frame.intrinsics),
+            };
+            // Where its own motion has brought a look here, its pose is as well known as that of the frame before: from further away
+            // the contour would lead it back to what it says itself.
+            let gap_s = if followed.is_some() { self.config.frame_s } else { now.gap_s };
+            let trial = self.try_at(i, &Now { gap_s, ..*now }, &start, poses);
             let Some(own) = best.filter(|_| self.tracks[i].known) else {
                 best = Some(self.begin(i, now, trial));
                 self.consider(i, start);
@@ -71,11 +78,26 @@ impl Tracker {
         }
     }
 
-    /// A look that says that it is right goes before a track of which none has said so.
+    /// A look that says that it is right goes before a track of which none has said so, and before one that is less sure than the
+    /// look: both are probabilities of being right.
     fn takes_look(&self, i: usize, own: &Trial, look: &Trial, correction: &Correction) -> bool {
-        let accepted = matches!(correction.kind, CorrectionKind::Look { accepted: true, .. });
-        let first = accepted && !self.tracks[i].verified && look.evidence.seen() >= self.config.min_seen;
-        first || self.prefers(own, look, correction, self.tracks[i].phase == Phase::Tracking)
+        let sure = match correction.kind {
+            CorrectionKind::Look { accepted: true, score } => !self.tracks[i].verified || score > own.confidence,
+            _ => false,
+        };
+        let goes_before = sure && look.evidence.seen() >= self.config.min_seen;
+        goes_before || self.prefers(own, look, correction, self.tracks[i].phase == Phase::Tracking)
+    }
+
+    /// Whether a track is followed in this frame, as `own` says.
+    fn follows(&self, i: usize, own: &Trial) -> bool {
+        self.tracks[i].known && own.evidence.seen() >= self.config.min_seen
+    }
+
+    /// Where a correction puts an object that was followed since, to where it is now.
+    fn moved_with(&self, i: usize, now: &Pose, correction: &Correction) -> Option<Pose> {
+        let then = self.tracks[i].history.at(correction.frame)?;
+        Some(now * (then.pose.inverse() * correction.camera_from_object))
     }
 
     /// What a look says of the track. A look that has moved it far is believed only when it is very sure: from near, right and
@@ -140,8 +162,8 @@ impl Tracker {
         predicted: &[Pose],
         camera: &Intrinsics,
     ) -> Pose {
-        if let Some(then) = self.tracks[track].history.at(correction.frame) {
-            return predicted[track] * (then.pose.inverse() * correction.camera_from_object);
+        if let Some(pose) = self.moved_with(track, &predicted[track], correction) {
+            return pose;
         }
         match self.motion_since(correction.frame, predicted, camera) {
             Some(motion) => motion * correction.camera_from_object,
