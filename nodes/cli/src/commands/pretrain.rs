@@ -36,13 +36,19 @@ pub(crate) struct Args {
     /// Initializer: nano or full.
     #[arg(long, default_value = "nano")]
     network: String,
-    /// Flow: pictures or recordings to put behind the objects.
+    /// Pictures or recordings to put behind the objects.
     ///
     /// Photographs for walls, tables and cards of the scenes, without any annotation: folders of pictures (and the
-    /// folders in them), or recordings (bags), whose frames are copied to a folder beside `--out`.
+    /// folders in them), or recordings (bags), whose frames are copied to a folder beside `--out`. For an initializer
+    /// none of the objects may be seen in them.
     #[arg(long, value_delimiter = ',', value_name = "DIR|BAG[,...]", value_parser = pseudoflow_runtime::shipped::input)]
     backgrounds: Vec<PathBuf>,
-    /// Flow: leaves out what `meta.json` does not release for shipping.
+    /// Initializer: meshes of other things, to stand between the objects.
+    ///
+    /// BOP `models/` folders; none of the objects may be among them. Procedural shapes stand there anyway.
+    #[arg(long, help_heading = RARE, hide_short_help = true, value_delimiter = ',', value_name = "DIR[,DIR...]", value_parser = pseudoflow_runtime::shipped::input)]
+    others: Vec<PathBuf>,
+    /// Leaves out what `meta.json` does not release for shipping.
     ///
     /// Meshes and pictures; `meta.json` lies in their folders.
     #[arg(long, help_heading = RARE, hide_short_help = true)]
@@ -153,6 +159,9 @@ impl Args {
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
         (config.seed, config.resume, config.device) = (self.seed, self.resume, self.device);
         config.warm_start = self.warm_start();
+        config.others.clone_from(&self.others);
+        config.only_shippable = self.only_shippable;
+        config.backgrounds = picture_folders(&self.backgrounds, &self.out)?;
         Ok(config)
     }
 }

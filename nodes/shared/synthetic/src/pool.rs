@@ -104,7 +104,7 @@ impl ObjectPool {
 
     /// How many there are (at least one, when loaded).
     #[must_use]
-    #[allow(clippy::len_without_is_empty)] // a pool is never empty
+    #[allow(clippy::len_without_is_empty)] // a pool that was loaded is never empty
     pub fn len(&self) -> usize {
         self.objects.len()
     }

@@ -83,7 +83,8 @@ struct Surroundings<'a> {
 impl Stock<'_> {
     /// An object, and its place: those of the pool first, then the procedural shapes, of which comes a given share.
     pub(super) fn any(&self, rng: &mut impl Rng, procedural: f64) -> Result<(usize, &Arc<Object>), ImagingError> {
-        let place = match rng.chance(procedural) && self.shapes.len() > 0 {
+        let procedural = rng.chance(procedural) || self.objects.len() == 0;
+        let place = match procedural && self.shapes.len() > 0 {
             true => self.objects.len() + rng.below(self.shapes.len()),
             false => rng.below(self.objects.len()),
         };

@@ -1,5 +1,6 @@
 //! Synthetic images of whole scenes, for the initializer (docs/method.md, pipeline step 1).
 
+use super::card::Card;
 use super::config::{CameraConfig, LookConfig};
 use super::photo::PhotoBank;
 use super::picture::Picture;
@@ -14,6 +15,7 @@ use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Ranges of the synthetic scenes. Unknown keys are rejected.
@@ -98,8 +100,24 @@ pub struct SceneSample {
 #[derive(Debug, Clone)]
 pub struct SceneGenerator {
     objects: Arc<ObjectPool>,
+    clutter: Option<Arc<Clutter>>,
     config: SceneConfig,
     seed: u64,
+}
+
+/// What stands between the objects of a scene and behind them.
+#[derive(Debug)]
+struct Clutter {
+    others: ObjectPool,
+    shapes: ShapeBank,
+    photos: PhotoBank,
+    look: LookConfig,
+}
+
+impl Clutter {
+    fn stock(&self) -> Stock<'_> {
+        Stock { objects: &self.others, shapes: &self.shapes, photos: &self.photos, look: &self.look }
+    }
 }
 
 impl SceneGenerator {
@@ -108,7 +126,42 @@ impl SceneGenerator {
     pub fn new(objects: Arc<ObjectSet>, config: SceneConfig, seed: u64) -> Result<Self, SyntheticError> {
         config.check()?;
         let objects = Arc::new(ObjectPool::of_sets(std::slice::from_ref(&*objects)));
-        Ok(Self { objects, config, seed })
+        Ok(Self { objects, clutter: None, config, seed })
+    }
+
+    /// Puts other things between the objects, as rooms have them: meshes of BOP `models/` folders (none of them may be of the set),
+    /// procedural shapes, and photographs on cards, tables and walls. `only_shippable`: without meshes and photographs of which
+    /// `meta.json` says that they may not be shipped, or nothing clear.
+    ///
+    /// # Errors
+    /// When a folder cannot be read or holds nothing usable.
+    pub fn with_clutter(
+        self,
+        others: &[PathBuf],
+        backgrounds: &[PathBuf],
+        only_shippable: bool,
+    ) -> Result<Self, SyntheticError> {
+        let others = match others.is_empty() {
+            true => ObjectPool::of_sets(&[]),
+            false if only_shippable => ObjectPool::load(others)?.only_shippable()?,
+            false => ObjectPool::load(others)?,
+        };
+        let photos = match backgrounds.is_empty() {
+            true => PhotoBank::default(),
+            false => PhotoBank::load(backgrounds, only_shippable)?,
+        };
+        let look = LookConfig::default();
+        let shapes = ShapeBank::new(self.seed, look.procedural_shapes);
+        Ok(Self { clutter: Some(Arc::new(Clutter { others, shapes, photos, look })), ..self })
+    }
+
+    /// What the scenes are made from.
+    #[must_use]
+    pub fn card(&self) -> Card {
+        let objects = self.objects.origins().iter();
+        let Some(clutter) = &self.clutter else { return Card::new(objects.cloned().collect(), vec![], 0) };
+        let objects = objects.chain(clutter.others.origins()).cloned().collect();
+        Card::new(objects, clutter.photos.origins().to_vec(), clutter.shapes.len())
     }
 
     /// The scene with an index.
@@ -125,7 +178,9 @@ impl SceneGenerator {
         let (photos, look) = (PhotoBank::default(), LookConfig::default());
         let shapes = ShapeBank::new(self.seed, 0);
         let stock = Stock { objects: &self.objects, shapes: &shapes, photos: &photos, look: &look };
-        let (scene, placed) = SyntheticScene::draw_whole(&mut rng, &stock, &intrinsics, &self.config)?;
+        let clutter = self.clutter.as_ref().map(|clutter| clutter.stock());
+        let (scene, placed) =
+            SyntheticScene::draw_whole(&mut rng, &stock, clutter.as_ref(), &intrinsics, &self.config)?;
         let window = Window::whole(&intrinsics, self.config.image_px);
         let picture = scene.render(&window);
         // Sensors are drawn for images of 640 pixels.

@@ -1,11 +1,13 @@
 use crate::PretrainError;
 use crate::pretrain::WarmStart;
+use pseudoflow_imaging::ObjectSet;
 use pseudoflow_learning::Trunk;
 use pseudoflow_network::{ComputeDevice, DetectorConfig};
-use pseudoflow_synthetic::SceneConfig;
+use pseudoflow_synthetic::{SceneConfig, SceneGenerator};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// A training of the initializer on synthetic scenes. Unknown keys are rejected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -44,6 +46,15 @@ pub struct InitializerTraining {
     pub device: ComputeDevice,
     /// Threads that render beside the training step. They do not change the result.
     pub data_threads: usize,
+    /// Folders of photographs, and of pictures of the room without the objects, for tables, walls and cards.
+    #[serde(default)]
+    pub backgrounds: Vec<PathBuf>,
+    /// BOP `models/` folders of other things that stand between the objects.
+    #[serde(default)]
+    pub others: Vec<PathBuf>,
+    /// Leaves out meshes and pictures of which their folder's `meta.json` does not say that they may be shipped.
+    #[serde(default)]
+    pub only_shippable: bool,
     /// The synthetic scenes; by default those of [`SceneConfig::for_images`] at the network's input.
     pub scenes: Option<SceneConfig>,
 }
@@ -68,8 +79,24 @@ impl InitializerTraining {
             resume: false,
             device: ComputeDevice::default(),
             data_threads: 1,
+            backgrounds: vec![],
+            others: vec![],
+            only_shippable: false,
             scenes: None,
         }
+    }
+
+    /// What makes its scenes.
+    ///
+    /// # Errors
+    /// A range that cannot be, or a folder that cannot be read.
+    pub(crate) fn generator(
+        &self,
+        objects: &Arc<ObjectSet>,
+        network: &DetectorConfig,
+    ) -> Result<SceneGenerator, PretrainError> {
+        let generator = SceneGenerator::new(Arc::clone(objects), self.scenes(network), self.seed)?;
+        Ok(generator.with_clutter(&self.others, &self.backgrounds, self.only_shippable)?)
     }
 
     /// Checks the ranges.

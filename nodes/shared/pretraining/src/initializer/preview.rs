@@ -6,7 +6,6 @@ use crate::PretrainError;
 use image::Rgb;
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_network::{DetectorConfig, Grid};
-use pseudoflow_synthetic::SceneGenerator;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -22,7 +21,7 @@ pub fn scene_sheet(config: &InitializerTraining, count: u32) -> Result<RgbImage,
     config.check()?;
     let objects = Arc::new(ObjectSet::load(&config.objects)?);
     let network = DetectorConfig::named(&config.network, objects.len())?;
-    let generator = SceneGenerator::new(Arc::clone(&objects), config.scenes(&network), config.seed)?;
+    let generator = config.generator(&objects, &network)?;
     let [width, height] = network.input_px;
     let grid = Grid::new(width, height);
     let [width, height] = [width as u32, height as u32];

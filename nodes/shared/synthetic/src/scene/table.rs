@@ -44,10 +44,12 @@ struct Table<'a> {
 }
 
 impl SyntheticScene {
-    /// Draws a scene of several objects; the first things are those of the returned list, in its order.
+    /// Draws a scene of several objects; the first things are those of the returned list, in its order. With `clutter` the other
+    /// things, table and wall are made from that, without they are simple shapes with patterns.
     pub(crate) fn draw_whole(
         rng: &mut impl Rng,
         stock: &Stock<'_>,
+        clutter: Option<&Stock<'_>>,
         intrinsics: &Intrinsics,
         config: &SceneConfig,
     ) -> Result<(Self, Vec<Placed>), ImagingError> {
@@ -69,15 +71,19 @@ impl SyntheticScene {
                 things.push(thing);
             }
         }
+        let table_m = on_table.then(|| up.dot(&middle.coords));
+        let around = Surroundings { intrinsics, centre: middle, diameter_m: 1.5 * diameter_m, up, table_m };
         for _ in 0..rng.below(config.most_others as usize + 1) {
-            things.extend(table.other(rng, stock, diameter_m, &mut taken)?);
+            let other = match clutter {
+                Some(clutter) => table.thing(rng, clutter, &around, &mut taken)?,
+                None => table.shape(rng, stock, diameter_m, &mut taken)?,
+            };
+            things.extend(other);
         }
         if rng.chance(config.occluded) {
             things.push(table.hanging(rng, stock, diameter_m)?);
         }
-        let table_m = on_table.then(|| up.dot(&middle.coords));
-        let around = Surroundings { intrinsics, centre: middle, diameter_m: 1.5 * diameter_m, up, table_m };
-        let ground = around.ground(rng, stock)?;
+        let ground = around.ground(rng, clutter.unwrap_or(stock))?;
         let (centre_m, wide_m) = (middle.coords.map(|v| v as f32), (3.0 * diameter_m) as f32);
         let lighting = Lighting::draw(rng, stock.look, up.map(|v| v as f32), centre_m, wide_m);
         Ok((Self { things, ground, lighting, centre_m, diameter_m: wide_m }, placed))
@@ -134,8 +140,30 @@ impl Table<'_> {
         None
     }
 
-    /// Something that is not of the set.
-    fn other(
+    /// Something that is not of the set: another object, a box or card with a photograph, a shape with a pattern.
+    fn thing(
+        &self,
+        rng: &mut impl Rng,
+        clutter: &Stock<'_>,
+        around: &Surroundings<'_>,
+        taken: &mut Taken,
+    ) -> Result<Option<Thing>, ImagingError> {
+        for _ in 0..TRIES {
+            let Some(at) = self.place(rng) else { continue };
+            let mut thing = Thing { in_front: true, ..around.draw_thing(rng, clutter, at)? };
+            self.stand(&mut thing);
+            let (low, high) = thing.mesh.bounds_m();
+            let (centre, size_m) = (thing.camera_from_thing * nalgebra::center(&low, &high), (high - low).norm());
+            if centre.z > size_m && taken.has_room(&centre, size_m / 2.0) {
+                taken.0.push((centre, size_m / 2.0));
+                return Ok(Some(thing));
+            }
+        }
+        Ok(None)
+    }
+
+    /// A shape with a pattern.
+    fn shape(
         &self,
         rng: &mut impl Rng,
         stock: &Stock<'_>,
