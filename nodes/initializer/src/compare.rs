@@ -9,24 +9,24 @@ mod cache;
 mod config;
 mod crops;
 mod encoder;
-mod gaze;
 mod library;
+mod turned_camera;
 mod views;
 
 pub use config::CompareConfig;
-pub use gaze::Photograph;
+pub use turned_camera::Photograph;
 
 use crate::InitializerError;
 use crate::detect::Rectangle;
 use crops::{Crops, Scored};
 use encoder::Encoder;
-use gaze::Gaze;
 use library::Library;
 use nalgebra::{Translation3, UnitQuaternion, Vector2, Vector3};
 use pseudoflow_geometry::Pose;
 use pseudoflow_imaging::raster::{Rasteriser, SoftwareRasteriser};
 use pseudoflow_imaging::{Object, ObjectSet};
 use pseudoflow_inference::EngineConfig;
+use turned_camera::TurnedCamera;
 use views::{UNIT, centred, summit, views};
 
 /// Width and height of the crops in which an object is looked for from all sides, pixels.
@@ -72,16 +72,16 @@ pub struct Match {
     pub similarity: f64,
 }
 
-/// What a first look at a place says.
+/// Which views resemble what is seen at a place, in a first pass over all of them.
 #[derive(Debug, Clone)]
-pub struct Glance {
+pub struct CoarseMatch {
     /// Width and height at unit distance.
     detected: Vector2<f64>,
     /// The best first, each turned from the others.
     views: Vec<Scored>,
 }
 
-impl Glance {
+impl CoarseMatch {
     /// That of the best view, less what another width or height than was detected costs.
     #[must_use]
     pub fn similarity(&self) -> f64 {
@@ -140,16 +140,16 @@ impl Comparer {
     ///
     /// # Errors
     /// What the engine says.
-    pub fn glance(
+    pub fn coarse_match(
         &mut self,
         photograph: &Photograph<'_>,
         object: &Object,
         detected: &Rectangle,
-    ) -> Result<Glance, InitializerError> {
-        let (gaze, detected) = Gaze::at(photograph.camera, detected);
-        let crops = Crops::look(&mut self.coarse, photograph, &gaze, &SIZES)?;
+    ) -> Result<CoarseMatch, InitializerError> {
+        let (camera, detected) = TurnedCamera::at(photograph.camera, detected);
+        let crops = Crops::look(&mut self.coarse, photograph, &camera, &SIZES)?;
         let views = apart(crops.score(self.library.views(object.id), Some(&detected)), self.kept());
-        Ok(Glance { detected, views })
+        Ok(CoarseMatch { detected, views })
     }
 
     /// The views of an object that explain best what is seen at a place, the best first; at most
@@ -161,12 +161,12 @@ impl Comparer {
         &mut self,
         photograph: &Photograph<'_>,
         object: &Object,
-        glance: &Glance,
+        coarse_match: &CoarseMatch,
     ) -> Result<Vec<Match>, InitializerError> {
-        let best = self.polished(photograph, object, glance)?;
+        let best = self.polished(photograph, object, coarse_match)?;
         let best = self.measured(photograph, object, best)?;
         let found = best.iter().filter_map(|scored| {
-            let pose = placed(object, &scored.rotation, &scored.gaze)?;
+            let pose = placed(object, &scored.rotation, &scored.camera)?;
             Some(Match { camera_from_object: pose, similarity: f64::from(scored.similarity) })
         });
         Ok(found.collect())
@@ -177,21 +177,21 @@ impl Comparer {
         POLISHED.max(self.config.hypotheses as usize)
     }
 
-    /// The views of a glance, turned to better ones between them.
+    /// The views of a coarse match, turned to better ones between them.
     fn polished(
         &mut self,
         photograph: &Photograph<'_>,
         object: &Object,
-        glance: &Glance,
+        coarse_match: &CoarseMatch,
     ) -> Result<Vec<Scored>, InitializerError> {
-        let (mut best, detected) = (glance.views.clone(), Some(&glance.detected));
+        let (mut best, detected) = (coarse_match.views.clone(), Some(&coarse_match.detected));
         for step_deg in &self.config.steps_deg {
             let Some(first) = best.first() else { break };
             // Closer, where the best view has found the object.
-            let crops = Crops::look(&mut self.coarse, photograph, &first.gaze, &NEAR_SIZES)?;
+            let crops = Crops::look(&mut self.coarse, photograph, &first.camera, &NEAR_SIZES)?;
             let around = best.iter().flat_map(|s| turned(&s.rotation, *step_deg));
             let around: Vec<UnitQuaternion<f64>> = best.iter().map(|s| s.rotation).chain(around).collect();
-            let views = views(object, &around, Some(first.gaze.side), &self.rasteriser, &mut self.coarse)?;
+            let views = views(object, &around, Some(first.camera.side), &self.rasteriser, &mut self.coarse)?;
             best = apart(crops.score(&views, detected), self.kept());
         }
         Ok(best)
@@ -224,10 +224,10 @@ impl Comparer {
         rough: &Scored,
         step_deg: f64,
     ) -> Result<Scored, InitializerError> {
-        let crops = Crops::look(&mut self.fine, photograph, &rough.gaze, &FINE_SIZES)?;
+        let crops = Crops::look(&mut self.fine, photograph, &rough.camera, &FINE_SIZES)?;
         let around: Vec<UnitQuaternion<f64>> =
             std::iter::once(rough.rotation).chain(turned(&rough.rotation, step_deg)).collect();
-        let views = views(object, &around, Some(rough.gaze.side), &self.rasteriser, &mut self.fine)?;
+        let views = views(object, &around, Some(rough.camera.side), &self.rasteriser, &mut self.fine)?;
         let scores = crops.score(&views, None);
         let similarity = |i: usize| scores[i].similarity;
         let along = |k: usize| match [similarity(2 * k + 2), similarity(0), similarity(2 * k + 1)] {
@@ -266,18 +266,18 @@ fn turned(rotation: &UnitQuaternion<f64>, step_deg: f64) -> Vec<UnitQuaternion<f
     axes.into_iter().flat_map(both).collect()
 }
 
-/// The pose at which an object, turned as in a view, has its projection where a gaze is, as large.
-fn placed(object: &Object, view: &UnitQuaternion<f64>, gaze: &Gaze) -> Option<Pose> {
-    let mut middle_m = Vector3::new(0.0, 0.0, object.diameter_m / gaze.side);
+/// The pose at which an object, turned as in a view, has its projection at which the turned camera looks, as large.
+fn placed(object: &Object, view: &UnitQuaternion<f64>, camera: &TurnedCamera) -> Option<Pose> {
+    let mut middle_m = Vector3::new(0.0, 0.0, object.diameter_m / camera.side);
     for _ in 0..6 {
         let seen = crate::detect::extent(object, &centred(object, view, middle_m), &UNIT)?;
-        let larger = seen.side_px() / gaze.side;
+        let larger = seen.side_px() / camera.side;
         let off = seen.middle_px.coords;
-        if off.norm() < 1e-3 * gaze.side && (larger - 1.0).abs() < 0.002 {
+        if off.norm() < 1e-3 * camera.side && (larger - 1.0).abs() < 0.002 {
             break;
         }
         middle_m.z *= larger;
         middle_m -= Vector3::new(off.x, off.y, 0.0) * middle_m.z;
     }
-    Some(Pose::from_parts(Translation3::identity(), gaze.camera_from_gaze) * centred(object, view, middle_m))
+    Some(Pose::from_parts(Translation3::identity(), camera.camera_from_turned) * centred(object, view, middle_m))
 }

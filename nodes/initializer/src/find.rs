@@ -1,6 +1,6 @@
 //! From an image to detections: the network's votes, and where there is a comparer the views that resemble it.
 
-use crate::compare::{Comparer, Glance, Match, Photograph, Preparing};
+use crate::compare::{CoarseMatch, Comparer, Match, Photograph, Preparing};
 use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle, detect, solve, suppress};
 use crate::network::DetectorNetwork;
 use crate::votes::{Vote, group, place, sureness, votes};
@@ -11,7 +11,7 @@ use rand::Rng;
 use std::collections::BTreeMap;
 
 /// Places of an object that get a first look, the surest: a network that was trained little sees an object in many places.
-const GLANCES: usize = 12;
+const MOST_COARSE: usize = 12;
 /// So many more of them are compared than an object may have instances, which is dear: the most promising is not always the
 /// right one.
 const SPARE: usize = 1;
@@ -79,13 +79,13 @@ struct Search<'a> {
 struct Place<'a> {
     object: &'a Object,
     votes: Vec<Vote>,
-    glance: Glance,
+    coarse_match: CoarseMatch,
 }
 
 impl Place<'_> {
     /// How sure the votes are, times how similar the best view is.
     fn promise(&self) -> f64 {
-        sureness(&self.votes) * self.glance.similarity()
+        sureness(&self.votes) * self.coarse_match.similarity()
     }
 }
 
@@ -113,14 +113,14 @@ impl<'a> Search<'a> {
         groups: Vec<Vec<Vote>>,
         expected: &dyn Fn(&Object, &Rectangle) -> bool,
     ) -> Result<Vec<Place<'a>>, InitializerError> {
-        let (mut places, mut glances) = (Vec::new(), vec![0; self.ids.len()]);
+        let (mut places, mut coarse_matches) = (Vec::new(), vec![0; self.ids.len()]);
         for votes in sure_groups(groups, self.config) {
             let class = votes[0].class;
             let (object, there) = (self.objects.get(self.ids[class])?, self.in_image(&place(&votes)));
-            if glances[class] < GLANCES && !expected(object, &there) {
-                glances[class] += 1;
-                let glance = self.comparer.glance(&self.photograph, object, &there)?;
-                places.push(Place { object, votes, glance });
+            if coarse_matches[class] < MOST_COARSE && !expected(object, &there) {
+                coarse_matches[class] += 1;
+                let coarse_match = self.comparer.coarse_match(&self.photograph, object, &there)?;
+                places.push(Place { object, votes, coarse_match });
             }
         }
         places.sort_by(|a, b| b.promise().total_cmp(&a.promise()));
@@ -136,7 +136,7 @@ impl<'a> Search<'a> {
     /// The views that resemble best what is seen at a place.
     fn compare(&mut self, at: &Place<'_>, rng: &mut impl Rng) -> Result<Option<Detection>, InitializerError> {
         let (score, there) = (sureness(&at.votes), place(&at.votes));
-        let best = self.comparer.best(&self.photograph, at.object, &at.glance)?;
+        let best = self.comparer.best(&self.photograph, at.object, &at.coarse_match)?;
         let hypothesis = |m: Match| Hypothesis {
             camera_from_object: m.camera_from_object,
             score: score * m.similarity.clamp(0.0, 1.0),

@@ -20,7 +20,7 @@ mod rectangle_finder;
 pub mod track;
 pub mod votes;
 
-pub use compare::{CompareConfig, Comparer, Glance, Match, Photograph, Preparing};
+pub use compare::{CoarseMatch, CompareConfig, Comparer, Match, Photograph, Preparing};
 pub use error::InitializerError;
 pub use fit::Fit;
 pub use network::{Answer, DetectorNetwork};

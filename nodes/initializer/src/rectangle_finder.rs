@@ -93,8 +93,8 @@ impl RectangleFinder {
                 log::warn!("a rectangle of object {object_id}, which the set does not have");
                 continue;
             };
-            let glance = self.comparer.glance(&photograph, object, &place(rectangle))?;
-            let best = self.comparer.best(&photograph, object, &glance)?;
+            let coarse_match = self.comparer.coarse_match(&photograph, object, &place(rectangle))?;
+            let best = self.comparer.best(&photograph, object, &coarse_match)?;
             poses.extend(best.iter().map(|found| pose(rectangle, instance as u32, found)));
         }
         Ok(poses)

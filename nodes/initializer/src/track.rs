@@ -7,7 +7,7 @@
 
 mod anchors;
 mod config;
-mod judge;
+mod plausible;
 #[cfg(test)]
 mod tests;
 
@@ -15,8 +15,8 @@ pub use config::TrackConfig;
 
 use crate::detect::{Detection, Hypothesis, Rectangle, extent};
 use anchors::Anchor;
-use judge::{bad, good, judge};
 use nalgebra::Vector6;
+use plausible::{bad, good, plausible};
 use pseudoflow_geometry::{Intrinsics, Pose, exp_se3, log_se3};
 use pseudoflow_imaging::{Object, ObjectSet};
 use pseudoflow_msgs::{ObjectPose, ObjectStatus, TrackPhase, TrackReason};
@@ -169,7 +169,7 @@ impl Tracker {
             let same = |t: &Track| t.active && t.identity() == pose.identity();
             let known = self.tracks.iter_mut().zip(&expected).find(|(t, _)| same(t));
             if let Some((track, expected)) = known.filter(|(t, _)| t.fresh || stamp_ns > t.stamp_ns) {
-                match judge(track, pose, expected, diameter_m, &self.config) {
+                match plausible(track, pose, expected, diameter_m, &self.config) {
                     Ok(there) => good(track, there, pose.score, stamp_ns, &self.config),
                     Err(reason) => bad(track, reason, pose, stamp_ns, &self.config),
                 }

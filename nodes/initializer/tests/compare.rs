@@ -64,15 +64,15 @@ fn errors(camera: &Intrinsics, from_m: Vector3<f64>, to_m: Vector3<f64>) -> (Vec
             middle_px: seen.middle_px + Vector2::new(6.0, -5.0),
             size_px: seen.size_px * (0.92 + 0.02 * i),
         };
-        let glance = comparer.glance(&photograph, object, &rough).unwrap();
+        let coarse_match = comparer.coarse_match(&photograph, object, &rough).unwrap();
         let beside = Rectangle { middle_px: rough.middle_px - 1.5 * Vector2::new(rough.side_px(), 0.0), ..rough };
         // The first look ranks the places of an image.
-        let elsewhere = comparer.glance(&photograph, object, &beside).unwrap();
-        assert!(glance.similarity() > elsewhere.similarity(), "{glance:?} {elsewhere:?}");
-        let best = comparer.best(&photograph, object, &glance).unwrap()[0];
+        let elsewhere = comparer.coarse_match(&photograph, object, &beside).unwrap();
+        assert!(coarse_match.similarity() > elsewhere.similarity(), "{coarse_match:?} {elsewhere:?}");
+        let best = comparer.best(&photograph, object, &coarse_match).unwrap()[0];
         away_m.push((best.camera_from_object.translation.vector - truth.translation.vector).norm());
         turns_deg.push(rotation_angle_rad(&best.camera_from_object, &truth).to_degrees());
-        assert_eq!(comparer.best(&photograph, object, &glance).unwrap()[0], best, "the same twice");
+        assert_eq!(comparer.best(&photograph, object, &coarse_match).unwrap()[0], best, "the same twice");
     }
     turns_deg.sort_by(f64::total_cmp);
     away_m.sort_by(f64::total_cmp);
@@ -111,12 +111,12 @@ fn views_are_made_little_by_little_and_kept() {
     let image = RgbImage::from_fn(640, 480, |x, y| image::Rgb([(x / 3) as u8, (y / 2) as u8, 90]));
     let photograph = Photograph { image: &image, camera: &NARROW };
     let there = Rectangle { middle_px: Point2::new(300.0, 200.0), size_px: Vector2::new(120.0, 150.0) };
-    assert_eq!(first.glance(&photograph, object, &there).unwrap().similarity(), 0.0, "no view yet");
+    assert_eq!(first.coarse_match(&photograph, object, &there).unwrap().similarity(), 0.0, "no view yet");
     while first.prepare_some(&objects).unwrap() {}
     assert!(first.preparing().is_empty());
     let mut second = Comparer::open_unprepared(&few, &objects, &engine).unwrap();
     assert!(second.preparing().is_empty(), "they were kept");
-    let similarity = |comparer: &mut Comparer| comparer.glance(&photograph, object, &there).unwrap().similarity();
+    let similarity = |comparer: &mut Comparer| comparer.coarse_match(&photograph, object, &there).unwrap().similarity();
     assert_eq!(similarity(&mut first).to_bits(), similarity(&mut second).to_bits(), "kept or not, the same");
     let file = std::fs::read_dir(folder.path().join("views")).unwrap().next().unwrap().unwrap().path();
     std::fs::write(&file, b"pfviews1 and then nothing").unwrap();

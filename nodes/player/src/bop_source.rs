@@ -66,16 +66,16 @@ fn size_of_file(path: &Path) -> Result<(u32, u32), ImagingError> {
 }
 
 /// Initial poses of a file; instances of an object are numbered in the order of the file.
-pub(crate) fn given_poses(poses: &[InitialPose]) -> Vec<ObjectPose> {
+pub(crate) fn object_poses(poses: &[InitialPose]) -> Vec<ObjectPose> {
     let mut given = Vec::<ObjectPose>::new();
     for InitialPose { object_id, camera_from_object } in poses {
-        add_given(&mut given, *object_id, 1.0, camera_from_object);
+        add_pose(&mut given, *object_id, 1.0, camera_from_object);
     }
     given
 }
 
 /// Adds a pose from outside to those of a frame: instances of an object are counted.
-pub(crate) fn add_given(given: &mut Vec<ObjectPose>, object_id: u32, score: f64, camera_from_object: &Pose) {
+pub(crate) fn add_pose(given: &mut Vec<ObjectPose>, object_id: u32, score: f64, camera_from_object: &Pose) {
     given.push(ObjectPose {
         object_id,
         instance: given.iter().filter(|p| p.object_id == object_id).count() as u32,
@@ -110,7 +110,7 @@ impl FrameSource for BopSource {
             scene_id: self.scene.scene_id,
             image_id: frame.image_id,
             intrinsics: [k.fx, k.fy, k.cx, k.cy],
-            initial_poses: given_poses(&frame.initial_poses),
+            initial_poses: object_poses(&frame.initial_poses),
         })
     }
 
@@ -126,7 +126,7 @@ impl FrameSource for BopSource {
             intrinsics: [k.fx, k.fy, k.cx, k.cy],
             frame_id: CameraFrameHeader::frame_id_bytes(FRAME_ID).unwrap_or([0; pseudoflow_msgs::FRAME_ID_BYTES]),
         };
-        let initial_poses = given_poses(&frame.initial_poses);
+        let initial_poses = object_poses(&frame.initial_poses);
         Ok(LoadedFrame {
             stamp_ns: stamp_ns(number),
             header,

@@ -1,5 +1,5 @@
 use crate::PlayerError;
-use crate::bop_source::{FRAME_ID, check_frame_sizes, given_poses, stamp_ns};
+use crate::bop_source::{FRAME_ID, check_frame_sizes, object_poses, stamp_ns};
 use pseudoflow_bag::{BagError, BagWriter, Packing, Partial, Qos, TopicId};
 use pseudoflow_imaging::{BopFrame, BopScene, ImagingError};
 use pseudoflow_msgs::ros::{CameraInfo, CompressedImage, Detection3DArray, Header, Naming, Time, detections};
@@ -70,7 +70,7 @@ fn write_frame(bag: &mut BagWriter, topics: &Topics, number: usize, frame: &BopF
     let format = if data.starts_with(&[0xff, 0xd8]) { "jpeg" } else { "png" };
     let k = &frame.intrinsics;
     let info = CameraInfo::pinhole(header.clone(), image.dimensions(), [k.fx, k.fy, k.cx, k.cy]);
-    let poses = detections(&header, &given_poses(&frame.initial_poses), &Naming::default());
+    let poses = detections(&header, &object_poses(&frame.initial_poses), &Naming::default());
     bag.write(topics.image, stamp_ns, sequence, &CompressedImage { header, format: format.into(), data })?;
     bag.write(topics.info, stamp_ns, sequence, &info)?;
     bag.write(topics.poses, stamp_ns, sequence, &poses)?;

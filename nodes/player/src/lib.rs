@@ -19,14 +19,14 @@
 mod bag_pass;
 mod bag_source;
 mod bop_source;
+mod concatenated;
 mod config;
 mod error;
 mod from_bop;
-mod given;
 mod node;
 mod open;
+mod poses_file;
 mod sampling;
-mod several;
 mod source;
 mod targets;
 

@@ -1,5 +1,5 @@
-use crate::given::{GivenPoses, is_result_file};
 use crate::open::{is_bop_scene, is_bop_split, open_all};
+use crate::poses_file::{PosesFile, is_result_file};
 use crate::sampling::{Sample, Sampler, Sampling};
 use crate::source::FrameFacts;
 use crate::{FrameSource, LoadedFrame, PlayerConfig, PlayerError};
@@ -25,7 +25,7 @@ pub struct PlayerNode {
     config: PlayerConfig,
     source: Box<dyn FrameSource>,
     /// Of `initial_poses.file`.
-    poses: Option<GivenPoses>,
+    poses: Option<PosesFile>,
     sampler: Sampler,
 }
 
@@ -189,9 +189,9 @@ impl Node for PlayerNode {
         let objects = config.objects.as_deref().map(ObjectSet::load).transpose()?;
         let naming = objects.as_ref().map(naming_of).transpose()?.unwrap_or_default();
         let source = open_all(&config, &naming)?;
-        let poses = config.initial_poses.file.as_deref().map(GivenPoses::read).transpose()?;
+        let poses = config.initial_poses.file.as_deref().map(PosesFile::read).transpose()?;
         if let Some(set) = &objects {
-            let sent = poses.as_ref().map_or_else(|| source.objects(), GivenPoses::objects);
+            let sent = poses.as_ref().map_or_else(|| source.objects(), PosesFile::objects);
             check_objects(&config, &sent, &set.ids())?;
         }
         log::info!("{}: {} frames", config.source.display(), source.count());

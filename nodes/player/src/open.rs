@@ -1,6 +1,6 @@
 //! Opens recordings of every kind.
 
-use crate::several::Several;
+use crate::concatenated::Concatenated;
 use crate::targets::Targets;
 use crate::{BagOptions, BagSource, BopSource, FrameSource, PlayerConfig, PlayerError};
 use pseudoflow_edge::camera::read_calibration;
@@ -34,7 +34,7 @@ pub(crate) fn open_all(config: &PlayerConfig, naming: &Naming) -> Result<Box<dyn
             all.push(open(config, &path, targets.as_ref(), naming.clone())?);
         }
     }
-    Ok(if all.len() == 1 { all.remove(0) } else { Box::new(Several(all)) })
+    Ok(if all.len() == 1 { all.remove(0) } else { Box::new(Concatenated(all)) })
 }
 
 fn open(

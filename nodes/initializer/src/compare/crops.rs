@@ -1,7 +1,7 @@
 //! An image around a detection, and how well the views of an object fit there.
 
 use super::encoder::Encoder;
-use super::gaze::{Gaze, Photograph};
+use super::turned_camera::{Photograph, TurnedCamera};
 use super::views::{View, summit};
 use crate::InitializerError;
 use nalgebra::{UnitQuaternion, Vector2};
@@ -19,7 +19,7 @@ const MOST_UNLIKE: f64 = 0.5;
 /// The image around a detection at several sizes.
 pub(super) struct Crops {
     /// For objects that fill each crop but for the margin.
-    gazes: Vec<Gaze>,
+    cameras: Vec<TurnedCamera>,
     /// Features of each crop, one behind the other, and cells across each.
     features: Vec<f32>,
     across: usize,
@@ -28,11 +28,11 @@ pub(super) struct Crops {
 /// A view and where in the crops it fits best.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scored {
-    /// `gaze_from_object`.
+    /// `turned_from_object`.
     pub(super) rotation: UnitQuaternion<f64>,
     pub(super) similarity: f32,
     /// At the object's projection.
-    pub(super) gaze: Gaze,
+    pub(super) camera: TurnedCamera,
 }
 
 impl Crops {
@@ -40,12 +40,12 @@ impl Crops {
     pub(super) fn look(
         encoder: &mut Encoder,
         photograph: &Photograph<'_>,
-        at: &Gaze,
+        at: &TurnedCamera,
         sizes: &[f64],
     ) -> Result<Self, InitializerError> {
-        let gazes: Vec<Gaze> = sizes.iter().map(|size| at.moved([0.0; 2], size * at.side)).collect();
-        let rgb: Vec<u8> = gazes.iter().flat_map(|gaze| gaze.look(photograph, MARGIN, encoder.size_px)).collect();
-        Ok(Self { gazes, features: encoder.encode(&rgb)?, across: encoder.across() })
+        let cameras: Vec<TurnedCamera> = sizes.iter().map(|size| at.moved([0.0; 2], size * at.side)).collect();
+        let rgb: Vec<u8> = cameras.iter().flat_map(|camera| camera.look(photograph, MARGIN, encoder.size_px)).collect();
+        Ok(Self { cameras, features: encoder.encode(&rgb)?, across: encoder.across() })
     }
 
     /// All views, in their order; where width and height of a detection are given, theirs are held against them.
@@ -54,27 +54,28 @@ impl Crops {
     }
 
     fn score_one(&self, view: &View, detected: Option<&Vector2<f64>>) -> Scored {
-        let per_crop = self.features.len() / self.gazes.len();
-        let of_crop = |(features, gaze): (&[f32], &Gaze)| {
+        let per_crop = self.features.len() / self.cameras.len();
+        let of_crop = |(features, camera): (&[f32], &TurnedCamera)| {
             let (similarity, shift) = view.similarity(features);
-            let cost = detected.map_or(0.0, |d| unlike(view.shape * gaze.side, d));
+            let cost = detected.map_or(0.0, |d| unlike(view.shape * camera.side, d));
             (similarity - cost, shift)
         };
-        let tries: Vec<(f32, [f64; 2])> = self.features.chunks_exact(per_crop).zip(&self.gazes).map(of_crop).collect();
+        let tries: Vec<(f32, [f64; 2])> =
+            self.features.chunks_exact(per_crop).zip(&self.cameras).map(of_crop).collect();
         let best = (0..tries.len()).max_by(|a, b| tries[*a].0.total_cmp(&tries[*b].0)).unwrap_or(0);
         // Between the sizes, where it is not the least or the largest.
         let inside = (1..tries.len() - 1).contains(&best);
         let away = if inside { summit([best - 1, best, best + 1].map(|i| tries[i].0)) } else { 0.0 };
-        let larger = (self.gazes[2].side / self.gazes[1].side).powf(away);
+        let larger = (self.cameras[2].side / self.cameras[1].side).powf(away);
         let (similarity, shift) = tries[best];
-        Scored { rotation: view.rotation, similarity, gaze: self.shifted(best, shift, larger) }
+        Scored { rotation: view.rotation, similarity, camera: self.shifted(best, shift, larger) }
     }
 
     /// At a projection that is shifted by so many cells of a crop, and larger than it would be there.
-    fn shifted(&self, crop: usize, shift: [f64; 2], larger: f64) -> Gaze {
-        let gaze = &self.gazes[crop];
-        let cell = MARGIN * gaze.side / self.across as f64;
-        gaze.moved(shift.map(|cells| cells * cell), larger * gaze.side)
+    fn shifted(&self, crop: usize, shift: [f64; 2], larger: f64) -> TurnedCamera {
+        let camera = &self.cameras[crop];
+        let cell = MARGIN * camera.side / self.across as f64;
+        camera.moved(shift.map(|cells| cells * cell), larger * camera.side)
     }
 }
 

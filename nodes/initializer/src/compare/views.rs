@@ -13,7 +13,7 @@ use pseudoflow_imaging::raster::{Rasteriser, Rendering, View as Rendered};
 /// An object seen from one side.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct View {
-    /// `gaze_from_object`: the object is on the optical axis.
+    /// `turned_from_object`: the object is on the optical axis.
     pub(super) rotation: UnitQuaternion<f64>,
     /// Width and height of the projection, over the larger of them.
     pub(super) shape: Vector2<f64>,

@@ -8,14 +8,14 @@ pub(super) fn luminance(rgb: &[u8], out: &mut Vec<f32>) {
 }
 
 /// Where a point lies between four pixels.
-pub(super) struct Between {
+pub(super) struct Bilinear {
     corner: usize,
     stride: usize,
     fx: f32,
     fy: f32,
 }
 
-impl Between {
+impl Bilinear {
     /// `None` outside the centres of the outermost pixels of a square picture.
     pub(super) fn at(x: f64, y: f64, size_px: usize) -> Option<Self> {
         let last = size_px.checked_sub(1)?;
@@ -47,7 +47,7 @@ mod tests {
     #[test]
     fn whole_positions_read_the_pixel_and_the_rest_is_linear() {
         let plane: Vec<f32> = (0..16).map(|i| (i % 4) as f32 + 10.0 * (i / 4) as f32).collect();
-        let read = |x, y| Between::at(x, y, 4).map(|b| b.mix(|i| plane[i]));
+        let read = |x, y| Bilinear::at(x, y, 4).map(|b| b.mix(|i| plane[i]));
         assert_eq!(read(3.0, 3.0), Some(33.0));
         assert_eq!(read(1.0, 2.0), Some(21.0));
         assert_eq!(read(0.5, 1.25), Some(13.0));

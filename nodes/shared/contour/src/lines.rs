@@ -45,14 +45,14 @@ pub(crate) struct Line {
 }
 
 /// Camera and pose in single precision.
-struct View {
+struct PosedCamera {
     rotation: [[f32; 3]; 3],
     translation: [f32; 3],
     focal: [f32; 2],
     centre: [f32; 2],
 }
 
-impl View {
+impl PosedCamera {
     fn new(pose: &Pose, picture: &Picture) -> Self {
         let r = pose.rotation.to_rotation_matrix();
         let t = pose.translation.vector;
@@ -116,7 +116,7 @@ pub(crate) fn project(
     everywhere: bool,
     lines: &mut Vec<Line>,
 ) {
-    let view = View::new(pose, picture);
+    let view = PosedCamera::new(pose, picture);
     lines.clear();
     let within = |l: &Line| everywhere || picture.shows(l.at);
     lines.extend(points.iter().filter_map(|p| view.line(p)).filter(within));

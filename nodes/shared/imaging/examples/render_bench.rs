@@ -4,11 +4,8 @@
 #![allow(clippy::print_stdout)] // a bench talks to people
 
 use pseudoflow_geometry::{Crop, Intrinsics, Pose};
-use pseudoflow_imaging::raster::{
-    Background, Headlight, Item, Rendering, Scene, Scratch, Shader, Studio, render_scene,
-};
+use pseudoflow_imaging::raster::{Background, Headlight, Item, Rendering, Scene, Scratch, Shader, render_scene};
 use pseudoflow_imaging::{Object, ObjectSet};
-use rand::{SeedableRng, rngs::StdRng};
 use std::sync::OnceLock;
 use std::time::Instant;
 
@@ -17,13 +14,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = Instant::now();
     let set = ObjectSet::load(folder.as_ref())?;
     println!("{} objects loaded in {:.0} ms", set.len(), start.elapsed().as_secs_f64() * 1e3);
-    let studio = Studio::random(1, 1.0, &mut StdRng::seed_from_u64(1));
     for object in set.iter() {
         let triangles = object.mesh.triangles.len();
         print!("{:16} {triangles:6} triangles, closed {}:", object.name, object.mesh.closed);
         for size_px in [128, 256] {
             print!("  {size_px} px {:.2} ms", time_ms(object, size_px, &Headlight::default()));
-            print!(" (studio {:.2})", time_ms(object, size_px, &studio));
         }
         println!();
     }

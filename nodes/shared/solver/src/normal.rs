@@ -64,7 +64,7 @@ pub(crate) fn sandwich(points: &PointSet, camera: &Intrinsics, pose: &Pose, widt
 }
 
 /// Camera and pose, each number in all lanes.
-struct View {
+struct PosedCamera {
     rotation: [[Doubles; 3]; 3],
     translation: [Doubles; 3],
     focal: [Doubles; 2],
@@ -84,7 +84,7 @@ struct Linear {
     s: Doubles,
 }
 
-impl View {
+impl PosedCamera {
     #[inline(always)]
     fn new(camera: &Intrinsics, pose: &Pose, width_px: f64) -> Self {
         let s = Doubles::splat;
@@ -137,7 +137,7 @@ fn load(points: &PointSet, block: usize) -> [Doubles; 5] {
 /// What [`accumulate`] compiles for the machine at hand.
 #[inline(always)]
 pub(crate) fn accumulate_lanes(points: &PointSet, camera: &Intrinsics, pose: &Pose, width_px: f64) -> NormalEquations {
-    let view = View::new(camera, pose, width_px);
+    let view = PosedCamera::new(camera, pose, width_px);
     let one = Doubles::splat(1.0);
     let mut upper = [Doubles::ZERO; 21];
     let mut gradient = [Doubles::ZERO; 6];
@@ -167,7 +167,7 @@ pub(crate) fn accumulate_lanes(points: &PointSet, camera: &Intrinsics, pose: &Po
 
 #[inline(always)]
 fn sandwich_lanes(points: &PointSet, camera: &Intrinsics, pose: &Pose, width_px: f64) -> Sandwich {
-    let view = View::new(camera, pose, width_px);
+    let view = PosedCamera::new(camera, pose, width_px);
     let four_per_width2 = Doubles::splat(4.0) * view.per_width2;
     let (mut bread, mut filling) = ([Doubles::ZERO; 21], [Doubles::ZERO; 21]);
     for block in 0..points.x.len() / LANES {

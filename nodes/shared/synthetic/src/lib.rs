@@ -36,10 +36,10 @@ mod recolour;
 mod rest;
 mod sample_objects;
 mod scene;
+mod scene_images;
 mod sensor;
 mod shapes;
-mod things;
-mod whole;
+mod simple_shapes;
 mod window;
 
 #[cfg(test)]
@@ -52,7 +52,7 @@ pub use label::SyntheticFlow;
 pub use pool::ObjectPool;
 pub use preview::preview_sheet;
 pub use sample_objects::write_sample_objects;
-pub use whole::{SceneConfig, SceneGenerator, SceneInstance, SceneSample};
+pub use scene_images::{SceneConfig, SceneGenerator, SceneInstance, SceneSample};
 
 use label::Geometry;
 use photo::PhotoBank;
@@ -229,8 +229,8 @@ impl SampleGenerator {
         }
         let mut samples = Vec::with_capacity(placements.len());
         for placement in placements {
-            let view = View { place, object, stand: &stand, window: &window, picture: &picture };
-            let Some(sample) = view.pair(&mut rng, placement, config) else { return Ok(None) };
+            let rendered = RenderedScene { place, object, stand: &stand, window: &window, picture: &picture };
+            let Some(sample) = rendered.pair(&mut rng, placement, config) else { return Ok(None) };
             samples.push(sample);
         }
         Ok(Some(samples))
@@ -238,7 +238,7 @@ impl SampleGenerator {
 }
 
 /// A rendered scene, from which pairs are made.
-struct View<'a> {
+struct RenderedScene<'a> {
     place: usize,
     object: &'a Object,
     stand: &'a Stand,
@@ -246,7 +246,7 @@ struct View<'a> {
     picture: &'a Picture,
 }
 
-impl View<'_> {
+impl RenderedScene<'_> {
     /// A pair; where its crop shows too little of the object, one at the true pose instead. `None` when that shows too
     /// little as well.
     fn pair(&self, rng: &mut impl rand::Rng, placement: Placement, config: &SynthConfig) -> Option<Sample> {

@@ -14,7 +14,7 @@ use super::pool::ObjectPool;
 use super::pose::{Stand, centre_m};
 use super::random::Draw;
 use super::shapes::ShapeBank;
-use super::things::{draw_card, draw_shape, finger, sheet};
+use super::simple_shapes::{draw_card, draw_shape, finger, sheet};
 use super::window::Window;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};

@@ -49,7 +49,7 @@ impl Tracker {
                 self.consider(i, start);
             }
             if self.near(i, &own.pose, &trial.pose) {
-                self.heard(i, correction, Heard::There);
+                self.note_look(i, correction, LookOutcome::There);
                 continue;
             }
             let (own, trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
@@ -60,7 +60,7 @@ impl Tracker {
                 self.tracks[i].others = others;
             } else if !search {
                 let taken = self.takes_look(i, &own, &trial, correction);
-                self.heard(i, correction, if taken { Heard::Elsewhere } else { Heard::NotTaken });
+                self.note_look(i, correction, if taken { LookOutcome::Elsewhere } else { LookOutcome::NotTaken });
                 if taken {
                     self.jump(i, &own.pose, &trial.pose);
                     best = Some(trial);
@@ -102,14 +102,14 @@ impl Tracker {
 
     /// What a look says of the track. A look that has moved it far is believed only when it is very sure: from near, right and
     /// wrong poses differ more, and it is asked again at once.
-    fn heard(&mut self, i: usize, correction: &Correction, heard: Heard) {
+    fn note_look(&mut self, i: usize, correction: &Correction, outcome: LookOutcome) {
         let CorrectionKind::Look { accepted, score } = correction.kind else { return };
         let (sure, doubtful) = (score >= self.config.sure_score, score < self.config.doubtful_score);
         let track = &mut self.tracks[i];
         track.look_score = Some(score);
-        match heard {
-            Heard::There | Heard::Elsewhere if accepted => {
-                track.verified |= heard == Heard::There || sure;
+        match outcome {
+            LookOutcome::There | LookOutcome::Elsewhere if accepted => {
+                track.verified |= outcome == LookOutcome::There || sure;
                 track.doubts = 0;
             }
             // What is hidden cannot be looked at, which says nothing of its pose; and a track that contour, texture and rendering are
@@ -126,9 +126,9 @@ impl Tracker {
         match self.tracks[i].measured {
             true => self.follow_contour(i, now, start, poses),
             false => {
-                let Self { eye, objects, tracks, .. } = self;
+                let Self { measurer, objects, tracks, .. } = self;
                 let hiders = hiders(objects, tracks, i, poses);
-                eye.find(&subject(now, &objects[tracks[i].object], &hiders), start)
+                measurer.find(&subject(now, &objects[tracks[i].object], &hiders), start)
             }
         }
     }
@@ -228,7 +228,7 @@ const DOUBTFUL_CONFIDENCE: f64 = 0.8;
 
 /// Where a look has found an object.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Heard {
+enum LookOutcome {
     /// Where the track is.
     There,
     /// Elsewhere, and the track has gone there.

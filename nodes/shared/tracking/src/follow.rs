@@ -55,15 +55,15 @@ impl Tracker {
         keyframes: &[Keyframe],
     ) -> Trial {
         let mut colours = std::mem::take(&mut self.tracks[i].colours);
-        let Self { eye, objects, tracks, .. } = self;
+        let Self { measurer, objects, tracks, .. } = self;
         let hiders = hiders(objects, tracks, i, poses);
         let subject = subject(now, &objects[tracks[i].object], &hiders);
         if colours.is_empty() && !keyframes.is_empty() {
-            eye.learn(&subject, start, &mut colours, 1.0);
+            measurer.learn(&subject, start, &mut colours, 1.0);
         }
         let trial = match colours.is_empty() {
-            true => eye.find(&subject, start),
-            false => eye.follow(&subject, start, &mut colours, keyframes),
+            true => measurer.find(&subject, start),
+            false => measurer.follow(&subject, start, &mut colours, keyframes),
         };
         self.tracks[i].colours = colours;
         trial

@@ -1,7 +1,7 @@
 //! One object in one picture: its contour, with the motion since the last frame as prior.
 
 use crate::config::TextureConfig;
-use crate::judge::Evidence;
+use crate::evidence::Evidence;
 use crate::texture::{Keyframe, Pyramid, TextureTerm, matches};
 use crate::types::KnownObject;
 use crate::{TrackingConfig, TrackingError};
@@ -31,7 +31,7 @@ const FAR_FRAMES: f64 = 3.0;
 
 /// What a picture is measured with. Holds its working memory.
 #[derive(Debug, Clone)]
-pub(crate) struct Eye {
+pub(crate) struct Measurer {
     near: Refiner,
     far: Refiner,
     frame_s: f64,
@@ -61,7 +61,7 @@ pub(crate) struct Subject<'a> {
     pub(crate) gap_s: f64,
 }
 
-impl Eye {
+impl Measurer {
     pub(crate) fn new(config: &TrackingConfig) -> Result<Self, TrackingError> {
         let (near, far) = (Refiner::new(config.region.clone())?, Refiner::new(config.first.clone())?);
         Ok(Self { near, far, frame_s: config.frame_s, texture: config.texture.clone() })

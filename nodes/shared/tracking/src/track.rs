@@ -1,7 +1,7 @@
 //! What is known of one object.
 
+use crate::evidence::Evidence;
 use crate::history::{History, Velocity};
-use crate::judge::Evidence;
 use crate::texture::{Keyframe, Likeness};
 use nalgebra::Matrix6;
 use pseudoflow_contour::Colours;

@@ -1,9 +1,9 @@
 use crate::TrackingConfig;
 use crate::at_rest::BASELINE;
 use crate::error::TrackingError;
-use crate::judge::with_look;
+use crate::evidence::with_look;
 use crate::looks::{self, Budget, Look};
-use crate::measure::{Eye, Trial};
+use crate::measure::{Measurer, Trial};
 use crate::texture::{Maker, Pyramid};
 use crate::track::{Phase, Track};
 use crate::types::{Correction, Estimate, Frame, FrameProblem, KnownObject, Step};
@@ -25,7 +25,7 @@ pub struct Tracker {
     pub(crate) config: TrackingConfig,
     pub(crate) objects: Vec<KnownObject>,
     pub(crate) tracks: Vec<Track>,
-    pub(crate) eye: Eye,
+    pub(crate) measurer: Measurer,
     pub(crate) maker: Maker,
     pub(crate) last: Option<(u64, i64)>,
     /// The last frames, as many as rest is judged over.
@@ -48,7 +48,7 @@ impl Tracker {
         }
         let tracks = (0..objects.len()).map(Track::new).collect();
         Ok(Self {
-            eye: Eye::new(&config)?,
+            measurer: Measurer::new(&config)?,
             maker: Maker::default(),
             config,
             objects,

@@ -1,6 +1,6 @@
 //! What goes into a tracker and what comes out.
 
-use crate::judge::Evidence;
+use crate::evidence::Evidence;
 use crate::track::Phase;
 use pseudoflow_contour::ContourModel;
 use pseudoflow_geometry::{Intrinsics, Pose};

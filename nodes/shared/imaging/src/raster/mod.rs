@@ -7,12 +7,10 @@
 //! sRGB-encoded values.
 
 mod coverage;
-mod grain;
 mod hit;
 mod normals;
 mod openness;
 mod software;
-mod studio;
 mod surface;
 
 #[cfg(test)]
@@ -23,7 +21,6 @@ pub use hit::PLAIN_ALBEDO;
 pub use normals::normals_from_depth;
 pub use openness::openness;
 pub use software::{Background, Item, MAX_ITEMS, Scene, SoftwareRasteriser, render_scene};
-pub use studio::{Light, Material, SoftShadow, Studio};
 pub use surface::{Headlight, Shader, Surface};
 
 use crate::{DepthImage, Mesh, RgbImage};

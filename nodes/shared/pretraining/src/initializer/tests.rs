@@ -1,8 +1,8 @@
 use super::augment::example;
 use super::*;
 use crate::offline::Silent;
-use pseudoflow_synthetic::SceneConfig;
 use pseudoflow_synthetic::write_sample_objects;
+use pseudoflow_synthetic::{SceneConfig, SceneGenerator};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 

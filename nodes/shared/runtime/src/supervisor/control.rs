@@ -1,6 +1,6 @@
 use super::child::{self, Event, LastWords};
+use super::run_resources::RunResources;
 use super::table::LiveTable;
-use super::territory::Territory;
 use super::warnings::{Severity, WarningsFile};
 use super::watchdog::{Deadlines, Watchdog};
 use super::{Incident, Options, Summary, SupervisorError};
@@ -90,12 +90,12 @@ pub(super) struct Control<'a> {
 impl<'a> Control<'a> {
     pub(super) fn new(
         plan: &'a Plan,
-        territory: &'a Territory,
+        resources: &'a RunResources,
         options: &'a Options,
         graph: &'a Path,
         events: Events,
     ) -> Result<Self, SupervisorError> {
-        let node = territory.ipc().node("supervisor")?;
+        let node = resources.ipc().node("supervisor")?;
         let mut topics = Vec::new();
         for (producer, planned) in plan.nodes.iter().enumerate() {
             for output in planned.outputs.iter().filter(|output| output.is_connected()) {
@@ -115,7 +115,7 @@ impl<'a> Control<'a> {
         let [frame, start] = plan.deadlines_s.map(|seconds| Duration::from_secs(seconds.into()));
         Ok(Self {
             plan,
-            board: territory.board(),
+            board: resources.board(),
             options,
             graph,
             run_dir: options.run_dir.clone(),

@@ -2,9 +2,9 @@
 
 mod child;
 mod control;
+mod run_resources;
 mod summary;
 mod table;
-mod territory;
 mod warnings;
 mod watchdog;
 
@@ -138,17 +138,17 @@ pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summ
     // From here on there is something to give back: no signal may end this process before that.
     let events = std::sync::mpsc::channel();
     let signals = control::forward_signals(events.0.clone());
-    let territory = territory::Territory::claim(&options.run_dir, plan.nodes.len())?;
+    let resources = run_resources::RunResources::claim(&options.run_dir, plan.nodes.len())?;
     let file = options.run_dir.join("graph.yaml");
     let as_it_runs = graph.resolved().map_err(GraphError::Problems)?.to_yaml()?;
     crate::files::write(&file, as_it_runs.as_bytes())
         .map_err(|source| SupervisorError::File { path: file.clone(), source })?;
-    let mut control = control::Control::new(&plan, &territory, options, &file, events)?;
+    let mut control = control::Control::new(&plan, &resources, options, &file, events)?;
     let result = control.run();
-    let mut summary = Summary::of(&plan, territory.board()).since(begin_ns, plan.source, territory.board());
+    let mut summary = Summary::of(&plan, resources.board()).since(begin_ns, plan.source, resources.board());
     control.tell(&mut summary);
     drop(control);
-    drop(territory);
+    drop(resources);
     drop(signals);
     if options.print {
         summary::print(&summary);

@@ -5,8 +5,8 @@ use crate::light::{Lighting, Material};
 use crate::pattern::Pattern;
 use crate::pose::centre_m;
 use crate::random::Draw;
-use crate::things::draw_shape;
-use crate::whole::SceneConfig;
+use crate::scene_images::SceneConfig;
+use crate::simple_shapes::draw_shape;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::ImagingError;
@@ -22,9 +22,9 @@ pub(crate) struct Placed {
 
 /// Things that do not touch: centres and radii, metres.
 #[derive(Default)]
-struct Taken(Vec<(Point3<f64>, f64)>);
+struct Occupied(Vec<(Point3<f64>, f64)>);
 
-impl Taken {
+impl Occupied {
     /// Whether a ball has room; flat things may come closer than their diameters say.
     fn has_room(&self, centre: &Point3<f64>, radius_m: f64) -> bool {
         self.0.iter().all(|(other, r)| (centre - other).norm() > 0.5 * (radius_m + r))
@@ -46,7 +46,7 @@ struct Table<'a> {
 impl SyntheticScene {
     /// Draws a scene of several objects; the first things are those of the returned list, in its order. With `clutter` the other
     /// things, table and wall are made from that, without they are simple shapes with patterns.
-    pub(crate) fn draw_whole(
+    pub(crate) fn draw_set(
         rng: &mut impl Rng,
         stock: &Stock<'_>,
         clutter: Option<&Stock<'_>>,
@@ -63,10 +63,10 @@ impl SyntheticScene {
         let up = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll) * upright;
         let on_table = rng.chance(0.85);
         let table = Table { intrinsics, image_px: config.image_px.map(f64::from), centre: middle, up, on_table };
-        let mut taken = Taken::default();
+        let mut occupied = Occupied::default();
         let (mut placed, mut things) = (Vec::new(), Vec::new());
         for _ in 0..(2 + rng.below(config.most_objects as usize)).min(config.most_objects as usize) {
-            if let Some((at, thing)) = table.object(rng, stock, &mut taken) {
+            if let Some((at, thing)) = table.object(rng, stock, &mut occupied) {
                 placed.push(at);
                 things.push(thing);
             }
@@ -75,8 +75,8 @@ impl SyntheticScene {
         let around = Surroundings { intrinsics, centre: middle, diameter_m: 1.5 * diameter_m, up, table_m };
         for _ in 0..rng.below(config.most_others as usize + 1) {
             let other = match clutter {
-                Some(clutter) => table.thing(rng, clutter, &around, &mut taken)?,
-                None => table.shape(rng, stock, diameter_m, &mut taken)?,
+                Some(clutter) => table.thing(rng, clutter, &around, &mut occupied)?,
+                None => table.shape(rng, stock, diameter_m, &mut occupied)?,
             };
             things.extend(other);
         }
@@ -118,7 +118,7 @@ impl Table<'_> {
     }
 
     /// One of the objects, where there is room for it.
-    fn object(&self, rng: &mut impl Rng, stock: &Stock<'_>, taken: &mut Taken) -> Option<(Placed, Thing)> {
+    fn object(&self, rng: &mut impl Rng, stock: &Stock<'_>, occupied: &mut Occupied) -> Option<(Placed, Thing)> {
         let object = stock.objects.at(rng.below(stock.objects.len()));
         for _ in 0..TRIES {
             let (at, rotation) = (self.place(rng), self.orientation(rng));
@@ -132,8 +132,8 @@ impl Table<'_> {
             self.stand(&mut thing);
             let centre = thing.camera_from_thing * centre_m(object);
             let radius_m = object.diameter_m / 2.0;
-            if centre.z > 1.2 * object.diameter_m && taken.has_room(&centre, radius_m) {
-                taken.0.push((centre, radius_m));
+            if centre.z > 1.2 * object.diameter_m && occupied.has_room(&centre, radius_m) {
+                occupied.0.push((centre, radius_m));
                 return Some((Placed { object_id: object.id, camera_from_object: thing.camera_from_thing }, thing));
             }
         }
@@ -146,7 +146,7 @@ impl Table<'_> {
         rng: &mut impl Rng,
         clutter: &Stock<'_>,
         around: &Surroundings<'_>,
-        taken: &mut Taken,
+        occupied: &mut Occupied,
     ) -> Result<Option<Thing>, ImagingError> {
         for _ in 0..TRIES {
             let Some(at) = self.place(rng) else { continue };
@@ -154,8 +154,8 @@ impl Table<'_> {
             self.stand(&mut thing);
             let (low, high) = thing.mesh.bounds_m();
             let (centre, size_m) = (thing.camera_from_thing * nalgebra::center(&low, &high), (high - low).norm());
-            if centre.z > size_m && taken.has_room(&centre, size_m / 2.0) {
-                taken.0.push((centre, size_m / 2.0));
+            if centre.z > size_m && occupied.has_room(&centre, size_m / 2.0) {
+                occupied.0.push((centre, size_m / 2.0));
                 return Ok(Some(thing));
             }
         }
@@ -168,7 +168,7 @@ impl Table<'_> {
         rng: &mut impl Rng,
         stock: &Stock<'_>,
         diameter_m: f64,
-        taken: &mut Taken,
+        occupied: &mut Occupied,
     ) -> Result<Option<Thing>, ImagingError> {
         let size_m = diameter_m * rng.log_uniform(0.3, 1.6);
         for _ in 0..TRIES {
@@ -176,8 +176,8 @@ impl Table<'_> {
             let mut thing = shape(rng, stock, size_m, at)?;
             self.stand(&mut thing);
             let centre = Point3::from(thing.camera_from_thing.translation.vector);
-            if centre.z > size_m && taken.has_room(&centre, size_m / 2.0) {
-                taken.0.push((centre, size_m / 2.0));
+            if centre.z > size_m && occupied.has_room(&centre, size_m / 2.0) {
+                occupied.0.push((centre, size_m / 2.0));
                 return Ok(Some(thing));
             }
         }

@@ -20,8 +20,8 @@ pub struct Photograph<'a> {
 
 /// A camera with the real one's centre that looks at the middle of an object's projection.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Gaze {
-    pub(super) camera_from_gaze: UnitQuaternion<f64>,
+pub(super) struct TurnedCamera {
+    pub(super) camera_from_turned: UnitQuaternion<f64>,
     /// Larger side of the projection at unit distance.
     pub(super) side: f64,
 }
@@ -29,7 +29,7 @@ pub(super) struct Gaze {
 /// Sides that are believed; more than the largest is most of a half-space.
 const SIDES: (f64, f64) = (1e-3, 4.0);
 
-impl Gaze {
+impl TurnedCamera {
     /// Towards a rectangle of the image, and the rectangle's width and height at unit distance there.
     pub(super) fn at(camera: &Intrinsics, rectangle: &Rectangle) -> (Self, Vector2<f64>) {
         let ray = |at: Point2<f64>| camera.unproject(&at, 1.0).coords;
@@ -44,13 +44,13 @@ impl Gaze {
             (seen[1] - seen[0]).clamp(SIDES.0, SIDES.1)
         };
         let size = Vector2::new(along(0), along(1));
-        (Self { camera_from_gaze: turned, side: size.max() }, size)
+        (Self { camera_from_turned: turned, side: size.max() }, size)
     }
 
-    /// The gaze at something beside the middle (unit distance), of another size.
+    /// The camera turned towards something beside the middle (unit distance), of another size.
     pub(super) fn moved(&self, away: [f64; 2], side: f64) -> Self {
         let turned = turn_towards(&Vector3::new(away[0], away[1], 1.0));
-        Self { camera_from_gaze: self.camera_from_gaze * turned, side: side.clamp(SIDES.0, SIDES.1) }
+        Self { camera_from_turned: self.camera_from_turned * turned, side: side.clamp(SIDES.0, SIDES.1) }
     }
 
     /// The image around the middle, `times` as wide as the projection, `size_px` pixels across. When shrinking, each pixel is
@@ -59,7 +59,7 @@ impl Gaze {
         let (size, width) = (size_px as usize, self.side * times);
         let pixel = |x: f64, y: f64| {
             let away = |i: f64| ((i + 0.5) / size as f64 - 0.5) * width;
-            photograph.camera.project(&(self.camera_from_gaze * Vector3::new(away(x), away(y), 1.0)).into())
+            photograph.camera.project(&(self.camera_from_turned * Vector3::new(away(x), away(y), 1.0)).into())
         };
         let middle = size as f64 / 2.0;
         let step = |x: f64, y: f64| match (pixel(middle, middle), pixel(middle + x, middle + y)) {
@@ -109,10 +109,10 @@ mod tests {
     const CAMERA: Intrinsics = Intrinsics { fx: 300.0, fy: 300.0, cx: 320.0, cy: 240.0 };
 
     #[test]
-    fn a_gaze_sees_its_middle_and_its_size() {
+    fn a_turned_camera_sees_its_middle_and_its_size() {
         let rectangle = Rectangle { middle_px: Point2::new(600.0, 100.0), size_px: Vector2::new(80.0, 60.0) };
-        let (gaze, size) = Gaze::at(&CAMERA, &rectangle);
-        let axis = CAMERA.project(&(gaze.camera_from_gaze * Vector3::z()).into()).unwrap();
+        let (turned, size) = TurnedCamera::at(&CAMERA, &rectangle);
+        let axis = CAMERA.project(&(turned.camera_from_turned * Vector3::z()).into()).unwrap();
         assert!((axis - rectangle.middle_px).norm() < 1e-9);
         // So far from the middle (46 degrees) the image is stretched by 1/cos^2 away from it and by 1/cos around it.
         let flat = Vector2::new(80.0, 60.0) / 300.0;
@@ -123,10 +123,10 @@ mod tests {
     fn looking_straight_ahead_is_a_crop() {
         let image = RgbImage::from_fn(640, 480, |x, y| image::Rgb([(x % 256) as u8, (y % 256) as u8, 7]));
         let rectangle = Rectangle { middle_px: Point2::new(320.0, 240.0), size_px: Vector2::new(64.0, 64.0) };
-        let (gaze, _) = Gaze::at(&CAMERA, &rectangle);
+        let (turned, _) = TurnedCamera::at(&CAMERA, &rectangle);
         let crop = pseudoflow_geometry::Crop { x0: 288.0, y0: 208.0, side: 64.0, size_px: 32 };
         let (seen, wanted) = (
-            gaze.look(&Photograph { image: &image, camera: &CAMERA }, 1.0, 32),
+            turned.look(&Photograph { image: &image, camera: &CAMERA }, 1.0, 32),
             pseudoflow_imaging::resample(&image, &crop),
         );
         let worst = seen.iter().zip(wanted.as_raw()).map(|(a, b)| a.abs_diff(*b)).max().unwrap();

@@ -15,7 +15,7 @@ const OWNER_FILE: &str = "owner";
 
 /// All that a run occupies outside its results: shared memory, a temporary folder, the state folder. It is given
 /// back when this is dropped; what a killed supervisor left is given back by the next one.
-pub(super) struct Territory {
+pub(super) struct RunResources {
     state_dir: PathBuf,
     ipc: RunIpc,
     board: Board,
@@ -25,7 +25,7 @@ fn prefix(id: &str) -> String {
     format!("iox2_pf{id}_")
 }
 
-impl Territory {
+impl RunResources {
     pub(super) fn claim(run_dir: &Path, nodes: usize) -> Result<Self, SupervisorError> {
         let file_error = |path: &Path| {
             let path = path.to_owned();
@@ -43,15 +43,15 @@ impl Territory {
         let ipc = RunIpc { prefix: prefix(&id), root, supervisor: std::process::id() };
         let board = Board::create(&state_dir.join(BOARD_FILE), nodes).map_err(file_error(&state_dir))?;
         // From here on the drop gives everything back.
-        let territory = Self { state_dir, ipc, board };
+        let resources = Self { state_dir, ipc, board };
         let describe = || -> io::Result<()> {
-            fs::write(territory.state_dir.join(IPC_FILE), serde_json::to_vec(&territory.ipc)?)?;
-            let pid = territory.ipc.supervisor.to_string();
-            fs::write(territory.state_dir.join(OWNER_FILE), &pid)?;
-            fs::write(territory.ipc.root.join(OWNER_FILE), &pid)
+            fs::write(resources.state_dir.join(IPC_FILE), serde_json::to_vec(&resources.ipc)?)?;
+            let pid = resources.ipc.supervisor.to_string();
+            fs::write(resources.state_dir.join(OWNER_FILE), &pid)?;
+            fs::write(resources.ipc.root.join(OWNER_FILE), &pid)
         };
-        describe().map_err(file_error(&territory.state_dir))?;
-        Ok(territory)
+        describe().map_err(file_error(&resources.state_dir))?;
+        Ok(resources)
     }
 
     pub(super) fn board(&self) -> &Board {
@@ -63,7 +63,7 @@ impl Territory {
     }
 }
 
-impl Drop for Territory {
+impl Drop for RunResources {
     fn drop(&mut self) {
         give_back(&self.ipc.prefix, &self.ipc.root);
         let _ = fs::remove_dir_all(&self.state_dir);

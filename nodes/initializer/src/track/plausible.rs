@@ -6,7 +6,7 @@ use pseudoflow_geometry::{Pose, pose_from_quaternion, rotation_angle_rad};
 use pseudoflow_msgs::{ObjectPose, PoseStatus, TrackPhase, TrackReason};
 
 /// The pose, if it can be believed; else why not.
-pub(super) fn judge(
+pub(super) fn plausible(
     track: &Track,
     pose: &ObjectPose,
     expected: &Pose,

@@ -1,7 +1,7 @@
 //! Initial poses from a file instead of the recording: what another program found.
 
 use crate::PlayerError;
-use crate::bop_source::{add_given, given_poses};
+use crate::bop_source::{add_pose, object_poses};
 use pseudoflow_imaging::read_initial_poses;
 use pseudoflow_metrics::read_results;
 use pseudoflow_msgs::ObjectPose;
@@ -10,13 +10,13 @@ use std::path::Path;
 
 /// Poses by frame.
 #[derive(Debug, Clone)]
-pub(crate) struct GivenPoses {
+pub(crate) struct PosesFile {
     /// By scene and image; one scene for all where the file does not tell scenes apart.
     poses: BTreeMap<(Option<u32>, u32), Vec<ObjectPose>>,
     tells_scenes: bool,
 }
 
-impl GivenPoses {
+impl PosesFile {
     /// Reads a BOP result file (`.csv`) or a file as `init_poses.json`.
     ///
     /// # Errors
@@ -28,11 +28,11 @@ impl GivenPoses {
             for found in read_results(path, None)? {
                 let frame = poses.entry((Some(found.scene_id), found.image_id)).or_default();
                 // Only the order of a result file's scores has a meaning.
-                add_given(frame, found.object_id, found.score.clamp(0.0, 1.0), &found.camera_from_object.pose());
+                add_pose(frame, found.object_id, found.score.clamp(0.0, 1.0), &found.camera_from_object.pose());
             }
         } else {
             let images = read_initial_poses(path)?;
-            poses.extend(images.iter().map(|(image, poses)| ((None, *image), given_poses(poses))));
+            poses.extend(images.iter().map(|(image, poses)| ((None, *image), object_poses(poses))));
         }
         Ok(Self { poses, tells_scenes })
     }

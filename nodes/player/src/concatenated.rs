@@ -3,9 +3,9 @@ use crate::{FrameSource, LoadedFrame, PlayerError};
 use std::collections::BTreeMap;
 
 /// Several recordings one behind the other, as one.
-pub(crate) struct Several(pub(crate) Vec<Box<dyn FrameSource>>);
+pub(crate) struct Concatenated(pub(crate) Vec<Box<dyn FrameSource>>);
 
-impl Several {
+impl Concatenated {
     /// Which recording a frame is of, and its number there.
     fn place(&self, mut number: usize) -> (usize, usize) {
         let mut recording = 0;
@@ -17,7 +17,7 @@ impl Several {
     }
 }
 
-impl FrameSource for Several {
+impl FrameSource for Concatenated {
     fn count(&self) -> usize {
         self.0.iter().map(|source| source.count()).sum()
     }

@@ -179,8 +179,7 @@ impl SceneGenerator {
         let shapes = ShapeBank::new(self.seed, 0);
         let stock = Stock { objects: &self.objects, shapes: &shapes, photos: &photos, look: &look };
         let clutter = self.clutter.as_ref().map(|clutter| clutter.stock());
-        let (scene, placed) =
-            SyntheticScene::draw_whole(&mut rng, &stock, clutter.as_ref(), &intrinsics, &self.config)?;
+        let (scene, placed) = SyntheticScene::draw_set(&mut rng, &stock, clutter.as_ref(), &intrinsics, &self.config)?;
         let window = Window::whole(&intrinsics, self.config.image_px);
         let picture = scene.render(&window);
         // Sensors are drawn for images of 640 pixels.
