@@ -1,4 +1,4 @@
-//! Trains the initializer as a JSON file says: `cargo run --release -p pseudoflow-trainer --example initializer -- run.json`
+//! Trains the initializer as a JSON file says: `cargo run --release --workspace --example initializer -- run.json`
 
 use pseudoflow_pretraining::initializer::{InitializerTraining, train_initializer};
 use pseudoflow_pretraining::offline::TerminalProgress;

@@ -1,5 +1,5 @@
 //! Sheet of the initializer's training images, and how fast they are made:
-//! `cargo run --release -p pseudoflow-trainer --example scenes -- MODELS_DIR SHEET.png`
+//! `cargo run --release --workspace --example scenes -- MODELS_DIR SHEET.png`
 
 use pseudoflow_imaging::{ObjectSet, save_png};
 use pseudoflow_pretraining::initializer::{InitializerTraining, scene_sheet};

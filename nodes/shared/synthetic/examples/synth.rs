@@ -1,5 +1,5 @@
 //! Preview sheet and speed of the synthetic data:
-//! `cargo run --release -p pseudoflow-trainer --example synth -- MODELS_DIR[,DIR...] SHEET.png [FIRST COUNT SIZE SEED]`,
+//! `cargo run --release --workspace --example synth -- MODELS_DIR[,DIR...] SHEET.png [FIRST COUNT SIZE SEED]`,
 //! with photographs of the folder in the environment variable BACKGROUNDS.
 
 use pseudoflow_imaging::save_png;

@@ -244,3 +244,44 @@ const LOOK_BONUS: f64 = 0.2;
 /// Contrast (as in the evidence) from which renderings tell poses apart, and the difference of correlations that does.
 const TELLING: f64 = 0.3;
 const ALIKE: f64 = 0.04;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evidence::Evidence;
+    use crate::tests::started;
+    use nalgebra::Matrix6;
+
+    #[test]
+    fn a_look_that_is_surer_than_a_track_goes_before_it_though_the_picture_likes_it_less() {
+        let mut tracker = started(12);
+        tracker.tracks[0].verified = true;
+        let evidence = Evidence { likeness: 0.8, contrast: 0.7, ..tracker.tracks[0].evidence };
+        let own = Trial { pose: tracker.tracks[0].pose, information: Matrix6::zeros(), evidence, confidence: 0.7 };
+        let seen = Trial { evidence: Evidence { likeness: 0.6, ..evidence }, confidence: 0.4, ..own };
+        let hidden = Trial { evidence: Evidence::default(), ..seen };
+        let takes = |look: &Trial, accepted: bool, score: f64| {
+            let kind = CorrectionKind::Look { accepted, score };
+            tracker.takes_look(
+                0,
+                &own,
+                look,
+                &Correction { object_id: 4, frame: 11, camera_from_object: own.pose, kind },
+            )
+        };
+        assert!(takes(&seen, true, 0.8));
+        assert!(!takes(&seen, true, 0.6) && !takes(&seen, false, 0.8) && !takes(&hidden, true, 0.8));
+    }
+
+    #[test]
+    fn a_look_is_brought_here_by_the_motion_that_was_measured() {
+        let tracker = started(12);
+        let then = tracker.tracks[0].history.at(8).unwrap().pose;
+        let (away, now) = (Pose::translation(0.0, 0.0, 0.01), tracker.tracks[0].pose);
+        let kind = CorrectionKind::Look { accepted: true, score: 0.9 };
+        let look = Correction { object_id: 4, frame: 8, camera_from_object: then * away, kind };
+        let here = tracker.moved_with(0, &now, &look).unwrap();
+        assert!((here.inverse() * (now * away)).translation.vector.norm() < 1e-9);
+        assert!(tracker.moved_with(0, &now, &Correction { frame: 99, ..look }).is_none());
+    }
+}

@@ -61,7 +61,7 @@ fn found(frame: u64) -> Correction {
     Correction { object_id: 4, frame, camera_from_object, kind: CorrectionKind::Found }
 }
 
-fn started(frames: u64) -> Tracker {
+pub(crate) fn started(frames: u64) -> Tracker {
     let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
     for i in 0..frames {
         step(&mut tracker, i, &picture(i, false), &if i == 0 { vec![found(0)] } else { Vec::new() });

@@ -2,7 +2,6 @@ use super::*;
 use crate::{BACKGROUND_GREY, MeshParts, shapes};
 use image::Rgb;
 use nalgebra::Vector3;
-use rand::{SeedableRng, rngs::StdRng};
 use std::path::Path;
 
 const K: Intrinsics = Intrinsics { fx: 400.0, fy: 410.0, cx: 63.3, cy: 61.8 };

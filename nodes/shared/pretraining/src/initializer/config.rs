@@ -31,7 +31,7 @@ pub struct InitializerTraining {
     /// initializer of this repository, or for networks of other widths RAFT-small as its authors trained it.
     pub warm_start: WarmStart,
     /// Share of the steps, from the first on, in which the trunk stays as it started: the steps are cheaper, and features of
-    /// a trained flow network are good already.
+    /// a trained flow network are good already. A training that begins with an initializer of the same objects has none.
     pub frozen_trunk: f64,
     /// How often a rendered scene is used, each time turned, zoomed and coloured anew.
     pub uses: u64,

@@ -19,7 +19,7 @@ use data::{Prefetch, Source};
 use pseudoflow_imaging::ObjectSet;
 use pseudoflow_learning::{LossWeights, OpenDevice, TrainConfig, TrainState, Trunk};
 use pseudoflow_network::storage::write_atomically;
-use pseudoflow_network::{ComputeDevice, DetectorConfig, Grid, NetworkConfig, Weights};
+use pseudoflow_network::{ComputeDevice, DetectorConfig, Grid, NetworkConfig, Weights, WeightsInfo};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -123,6 +123,7 @@ pub fn train_initializer(
     let network = DetectorConfig::named(&config.network, objects.len())?;
     let generator = config.generator(&objects, &network)?;
     let grid = Grid::new(network.input_px[0], network.input_px[1]);
+    let config = &config.going_on(&objects)?;
     let (state, log) = open(config, &network, &objects)?;
     write_atomically(&config.out.with_extension("card.json"), generator.card().to_json().as_bytes())?;
     let source = Source { generator, objects, grid, config: config.clone() };
@@ -225,17 +226,40 @@ fn open(
     Ok((state, RunLog::new(log_path)))
 }
 
+impl InitializerTraining {
+    /// The training; without a frozen trunk when it begins with a network of the same objects, whose heads have learnt all that this
+    /// trunk tells.
+    fn going_on(&self, objects: &ObjectSet) -> Result<Self, PretrainError> {
+        let network = DetectorConfig::named(&self.network, objects.len())?;
+        let start = start_file(self, &network)?.map(|path| Weights::read_info(&path)).transpose()?;
+        let known = start.is_some_and(|info| knows(&info, objects));
+        Ok(Self { frozen_trunk: if known { 0.0 } else { self.frozen_trunk }, ..self.clone() })
+    }
+}
+
+/// The file that a training begins with; `None` for random weights.
+fn start_file(config: &InitializerTraining, network: &DetectorConfig) -> Result<Option<PathBuf>, PretrainError> {
+    Ok(match &config.warm_start {
+        WarmStart::Random => None,
+        WarmStart::File(path) => Some(path.clone()),
+        WarmStart::Auto => Some(shipped(shipped_for(network))?),
+    })
+}
+
 fn start_weights(
     config: &InitializerTraining,
     network: &DetectorConfig,
     objects: &ObjectSet,
 ) -> Result<Weights, PretrainError> {
-    let path = match &config.warm_start {
-        WarmStart::Random => return Ok(Weights::random(network, config.seed)),
-        WarmStart::File(path) => path.clone(),
-        WarmStart::Auto => shipped(shipped_for(network))?,
-    };
-    start_from_file(&path, network, objects, config.seed)
+    match start_file(config, network)? {
+        None => Ok(Weights::random(network, config.seed)),
+        Some(path) => start_from_file(&path, network, objects, config.seed),
+    }
+}
+
+/// Whether weights are those of an initializer of these very objects.
+fn knows(info: &WeightsInfo, objects: &ObjectSet) -> bool {
+    info.object_ids == objects.ids() && info.objects.iter().eq(objects.iter().map(|object| &object.name))
 }
 
 /// The initializer that comes with this repository, for networks as wide as it.
@@ -262,8 +286,7 @@ fn start_from_file(
         return Ok(Weights::detector_from_raft(network, &raft, seed)?);
     }
     let known = Weights::load(path, &DetectorConfig { objects: info.object_ids.len(), ..network.clone() })?;
-    let same = info.object_ids == objects.ids() && info.objects.iter().eq(objects.iter().map(|object| &object.name));
-    Ok(if same { known } else { Weights::detector_from_known(network, &known)? })
+    Ok(if knows(&info, objects) { known } else { Weights::detector_from_known(network, &known)? })
 }
 
 /// What decides the weights: the configuration without what may change on resuming.
