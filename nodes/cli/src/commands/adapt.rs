@@ -69,6 +69,11 @@ pub(crate) struct LabelArgs {
     /// Instead of those that the teacher finds from them.
     #[arg(long, help_heading = LABELLING, hide_short_help = true)]
     single_look: bool,
+    /// What the teacher's first look finds a pose from: flow, or joint, with the contour.
+    ///
+    /// On plain things in clutter a flow network alone finds few poses, and where poses are wrong no labels agree.
+    #[arg(long, help_heading = LABELLING, hide_short_help = true, default_value = "flow", value_parser = ["flow", "joint"])]
+    stages: String,
     /// What a label is.
     ///
     /// The teacher's flow in each view (`teacher_flow`; paper, eq. 5), the mean of all views' votes, or where the one

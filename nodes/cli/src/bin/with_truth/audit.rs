@@ -44,6 +44,9 @@ pub(crate) struct Args {
     /// Looks twice: the views are rendered around the pose that the teacher finds from the initial one.
     #[arg(long)]
     refine_first: bool,
+    /// What that pose is found from: `flow`, or `joint` with the contour.
+    #[arg(long, default_value = "flow")]
+    stages: String,
     /// Draws the labels of the first frames into this folder.
     #[arg(long)]
     pictures: Option<PathBuf>,
@@ -72,6 +75,7 @@ fn graph(args: &Args) -> Result<Graph> {
         "weights": args.weights,
         "network": network(&args.network)?,
         "size_px": args.size,
+        "stages": args.stages,
         "label": args.label,
         "tau": EVERY_TAU,
     }))?;

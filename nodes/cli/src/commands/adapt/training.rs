@@ -15,6 +15,7 @@ const PICTURES: u64 = 12;
 pub(super) fn graph(args: &Args, first_step: u64) -> Result<Graph> {
     let labels = json!({
         "partners": args.labels.partners,
+        "stages": args.labels.stages,
         "label": args.labels.label,
         "tau": args.labels.tau,
         "accept_all": args.labels.accept_all_labels,
