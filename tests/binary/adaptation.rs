@@ -26,6 +26,7 @@ fn start(out: &Path) -> Child {
         "flow.iterations=4".into(),
         "tau=16".into(),
         "window=6".into(),
+        "stages=joint".into(),
     ];
     let settings = settings.into_iter().flat_map(|setting| ["--set".to_owned(), setting]);
     pseudoflow()
