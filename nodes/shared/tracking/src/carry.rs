@@ -78,11 +78,15 @@ impl Tracker {
         }
     }
 
-    /// A look that says that it is right goes before a track of which none has said so, and before one that is less sure than the
-    /// look: both are probabilities of being right.
+    /// A look that says that it is right goes before a track of which none has said so, and, where it only corrects the pose, before
+    /// one that is less sure than the look: both are probabilities of being right. Of quite another pose (a bottle turned by half
+    /// a turn) a look may be as sure, and the picture decides.
     fn takes_look(&self, i: usize, own: &Trial, look: &Trial, correction: &Correction) -> bool {
         let sure = match correction.kind {
-            CorrectionKind::Look { accepted: true, score } => !self.tracks[i].verified || score > own.confidence,
+            CorrectionKind::Look { accepted: true, score } => {
+                let corrects = self.apart(i, &own.pose, &look.pose).is_within(CORRECTS);
+                !self.tracks[i].verified || corrects && score > own.confidence
+            }
             _ => false,
         };
         let goes_before = sure && look.evidence.seen() >= self.config.min_seen;
@@ -193,10 +197,14 @@ impl Tracker {
 
     /// Whether two poses of an object are the same for tracking.
     pub(crate) fn near(&self, track: usize, a: &Pose, b: &Pose) -> bool {
+        self.apart(track, a, b).is_within(NEAR)
+    }
+
+    /// How far two poses of an object are from each other.
+    fn apart(&self, track: usize, a: &Pose, b: &Pose) -> Apart {
         let object = &self.objects[self.tracks[track].object];
         let middle: Point3<f64> = object.contour.centre_m();
-        let away_m = (a * middle - b * middle).norm();
-        away_m < 0.04 * object.diameter_m && rotation_angle_rad(a, b) < 0.09
+        Apart { diameters: (a * middle - b * middle).norm() / object.diameter_m, rad: rotation_angle_rad(a, b) }
     }
 
     /// Whether what was found elsewhere goes before what was predicted. Textures are those of the prediction's own keyframes, so
@@ -225,6 +233,24 @@ impl Tracker {
 
 /// Looks speak against tracks that are less sure than this. On tabletop's train split nine tenths of the wrong tracks are.
 const DOUBTFUL_CONFIDENCE: f64 = 0.8;
+
+/// How far two poses of an object are from each other: shift of its middle, and turn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Apart {
+    diameters: f64,
+    rad: f64,
+}
+
+impl Apart {
+    fn is_within(&self, limit: Self) -> bool {
+        self.diameters < limit.diameters && self.rad < limit.rad
+    }
+}
+
+/// Poses that are the same for tracking.
+const NEAR: Apart = Apart { diameters: 0.04, rad: 0.09 };
+/// Poses of which one corrects the other.
+const CORRECTS: Apart = Apart { diameters: 0.3, rad: 0.35 };
 
 /// Where a look has found an object.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -260,6 +286,7 @@ mod tests {
         let own = Trial { pose: tracker.tracks[0].pose, information: Matrix6::zeros(), evidence, confidence: 0.7 };
         let seen = Trial { evidence: Evidence { likeness: 0.6, ..evidence }, confidence: 0.4, ..own };
         let hidden = Trial { evidence: Evidence::default(), ..seen };
+        let turned = Trial { pose: own.pose * Pose::rotation([0.0, 0.0, 3.1].into()), ..seen };
         let takes = |look: &Trial, accepted: bool, score: f64| {
             let kind = CorrectionKind::Look { accepted, score };
             tracker.takes_look(
@@ -270,6 +297,7 @@ mod tests {
             )
         };
         assert!(takes(&seen, true, 0.8));
+        assert!(!takes(&turned, true, 0.99), "quite another pose");
         assert!(!takes(&seen, true, 0.6) && !takes(&seen, false, 0.8) && !takes(&hidden, true, 0.8));
     }
 
