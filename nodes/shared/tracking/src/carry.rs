@@ -31,7 +31,9 @@ impl Tracker {
             if !search {
                 self.tracks[i].asked_ns = None;
             }
-            let followed = best.filter(|own| !search && self.follows(i, own));
+            // From frame to frame contour and texture are more exact than a look; over a long gap a look is.
+            let exact = !search && self.after_long_gap(now);
+            let followed = best.filter(|own| exact && self.follows(i, own));
             let start = match followed.and_then(|own| self.moved_with(i, &own.pose, correction)) {
                 Some(start) => start,
                 None => self.carried(i, correction, predicted, &now.frame.intrinsics),
@@ -59,7 +61,7 @@ impl Tracker {
                 best = Some(self.begin(i, now, trial));
                 self.tracks[i].others = others;
             } else if !search {
-                let taken = self.takes_look(i, &own, &trial, correction);
+                let taken = self.takes_look(i, exact, (&own, &trial), correction);
                 self.note_look(i, correction, if taken { LookOutcome::Elsewhere } else { LookOutcome::NotTaken });
                 if taken {
                     self.jump(i, &own.pose, &trial.pose);
@@ -78,13 +80,13 @@ impl Tracker {
         }
     }
 
-    /// A look that says that it is right goes before a track of which none has said so, and, where it only corrects the pose, before
-    /// one that is less sure than the look: both are probabilities of being right. Of quite another pose (a bottle turned by half
-    /// a turn) a look may be as sure, and the picture decides.
-    fn takes_look(&self, i: usize, own: &Trial, look: &Trial, correction: &Correction) -> bool {
+    /// A look that says that it is right goes before a track of which none has said so, and, where it is `exact` and only corrects the
+    /// pose, before one that is less sure than the look: both are probabilities of being right. Of quite another pose (a bottle
+    /// turned by half a turn) a look may be as sure, and the picture decides.
+    fn takes_look(&self, i: usize, exact: bool, (own, look): (&Trial, &Trial), correction: &Correction) -> bool {
         let sure = match correction.kind {
             CorrectionKind::Look { accepted: true, score } => {
-                let corrects = self.apart(i, &own.pose, &look.pose).is_within(CORRECTS);
+                let corrects = exact && self.apart(i, &own.pose, &look.pose).is_within(CORRECTS);
                 !self.tracks[i].verified || corrects && score > own.confidence
             }
             _ => false,
@@ -287,15 +289,13 @@ mod tests {
         let seen = Trial { evidence: Evidence { likeness: 0.6, ..evidence }, confidence: 0.4, ..own };
         let hidden = Trial { evidence: Evidence::default(), ..seen };
         let turned = Trial { pose: own.pose * Pose::rotation([0.0, 0.0, 3.1].into()), ..seen };
-        let takes = |look: &Trial, accepted: bool, score: f64| {
+        let decides = |exact: bool, look: &Trial, accepted: bool, score: f64| {
             let kind = CorrectionKind::Look { accepted, score };
-            tracker.takes_look(
-                0,
-                &own,
-                look,
-                &Correction { object_id: 4, frame: 11, camera_from_object: own.pose, kind },
-            )
+            let correction = Correction { object_id: 4, frame: 11, camera_from_object: own.pose, kind };
+            tracker.takes_look(0, exact, (&own, look), &correction)
         };
+        let takes = |look: &Trial, accepted: bool, score: f64| decides(true, look, accepted, score);
+        assert!(!decides(false, &seen, true, 0.8), "from frame to frame the picture decides");
         assert!(takes(&seen, true, 0.8));
         assert!(!takes(&turned, true, 0.99), "quite another pose");
         assert!(!takes(&seen, true, 0.6) && !takes(&seen, false, 0.8) && !takes(&hidden, true, 0.8));

@@ -19,8 +19,6 @@ const ANCHOR_GAIN: f64 = 0.03;
 const ANCHOR_GAP_S: f64 = 0.5;
 /// Confidence from which a frame is a keyframe: a wrong one would hold the object where it is.
 const KEYFRAME_CONFIDENCE: f64 = 0.15;
-/// Gaps of more frames than this are long.
-const LONG_FRAMES: f64 = 3.0;
 
 impl Tracker {
     /// A trial with what a rendering of it says.
@@ -44,7 +42,7 @@ impl Tracker {
         let mut due: Vec<usize> = (0..trials.len()).filter(there).collect();
         due.sort_by_key(|i| self.tracks[*i].compared_at);
         // After a long gap what was seen before tells little, and there is time.
-        let at_most = if now.gap_s > LONG_FRAMES * self.config.frame_s { due.len() } else { 1 };
+        let at_most = if self.after_long_gap(now) { due.len() } else { 1 };
         let poses = poses_of(trials, predicted);
         for i in due.into_iter().take(at_most) {
             self.tracks[i].compared_at = now.frame.index + 1;

@@ -3,6 +3,7 @@
 use crate::config::TextureConfig;
 use crate::evidence::Evidence;
 use crate::texture::{Keyframe, Pyramid, TextureTerm, matches};
+use crate::tracker::LONG_FRAMES;
 use crate::types::KnownObject;
 use crate::{TrackingConfig, TrackingError};
 use nalgebra::Matrix6;
@@ -25,9 +26,6 @@ impl Trial {
         Self { pose, information: Matrix6::zeros(), evidence: Evidence::default(), confidence: 0.0 }
     }
 }
-
-/// Gaps of more frames than this are read by the schedule of `first`.
-const FAR_FRAMES: f64 = 3.0;
 
 /// What a picture is measured with. Holds its working memory.
 #[derive(Debug, Clone)]
@@ -79,7 +77,7 @@ impl Measurer {
         let task = subject.task(&prior);
         let camera = subject.image.intrinsics;
         // After a long gap the contour may be further away than the fine schedule reads.
-        let far = subject.gap_s > FAR_FRAMES * self.frame_s;
+        let far = subject.gap_s > LONG_FRAMES * self.frame_s;
         let seen =
             nearest(keyframes, start).map(|k| matches(k, subject.pyramid, start, &camera, self.reach(subject, start)));
         let Some(seen) = seen.filter(|seen| !seen.is_empty()) else {

@@ -105,6 +105,11 @@ impl Tracker {
         trials
     }
 
+    /// Whether objects have moved further since the last frame than between those of a camera.
+    pub(crate) fn after_long_gap(&self, now: &Now<'_>) -> bool {
+        now.gap_s > LONG_FRAMES * self.config.frame_s
+    }
+
     /// Patches belong to the camera that took them.
     fn meet_camera(&mut self, frame: &Frame<'_>) {
         let camera = (frame.rgb.dimensions(), frame.intrinsics);
@@ -181,5 +186,7 @@ impl Tracker {
     }
 }
 
+/// Gaps of more frames than this are long.
+pub(crate) const LONG_FRAMES: f64 = 3.0;
 /// A picture whose brightness has a smaller standard deviation shows nothing, grey levels.
 const DARK_SPREAD: f32 = 2.0;

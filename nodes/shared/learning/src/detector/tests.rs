@@ -55,7 +55,7 @@ fn gradients_are_those_of_finite_differences() {
     let offsets = noise(2 * objects * 2 * CORNERS * cells, 2);
     let surface = noise(2 * objects * 3 * cells, 3);
     let rectangles = noise(2 * 4 * cells, 4);
-    let weights = LossWeights { space: 3.0, image: 2.0, surface: 1.5, rectangle: 2.5 };
+    let weights = LossWeights { class: 1.5, space: 3.0, image: 2.0, surface: 1.5, rectangle: 2.5 };
     let loss = |logits: &[f32], offsets: &[f32], surface: &[f32], rectangles: &[f32]| {
         detection_loss(&DetectorOutput { logits, offsets, surface, rectangles, objects }, &truth, &grid, &weights)
     };
