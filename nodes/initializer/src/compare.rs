@@ -266,7 +266,7 @@ fn turned(rotation: &UnitQuaternion<f64>, step_deg: f64) -> Vec<UnitQuaternion<f
     axes.into_iter().flat_map(both).collect()
 }
 
-/// The pose at which an object, turned as in a view, has its projection at which the turned camera looks, as large.
+/// The pose at which an object, turned as in a view, has its projection where a turned camera looks, as large.
 fn placed(object: &Object, view: &UnitQuaternion<f64>, camera: &TurnedCamera) -> Option<Pose> {
     let mut middle_m = Vector3::new(0.0, 0.0, object.diameter_m / camera.side);
     for _ in 0..6 {

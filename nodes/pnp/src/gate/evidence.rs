@@ -164,10 +164,10 @@ impl Gate {
                     continue;
                 };
                 distance += (target - Point2::new(x as f64, y as f64)).norm();
-                let Some(between) = Bilinear::at(target.x, target.y, size) else { continue };
+                let Some(bilinear) = Bilinear::at(target.x, target.y, size) else { continue };
                 in_view += 1;
                 if motion.still_faces_camera(x, y) {
-                    self.moved[y * size + x] = between.mix(|i| self.crop[i]);
+                    self.moved[y * size + x] = bilinear.mix(|i| self.crop[i]);
                 }
             }
         }
@@ -231,8 +231,8 @@ impl GateView<'_> {
 
     /// Colour of the crop at a point, `None` outside.
     fn crop_colour(&self, at: Point2<f64>) -> Option<[f32; 3]> {
-        let between = Bilinear::at(at.x, at.y, self.size_px)?;
-        Some([0, 1, 2].map(|c| between.mix(|i| f32::from(self.crop_rgb[3 * i + c]))))
+        let bilinear = Bilinear::at(at.x, at.y, self.size_px)?;
+        Some([0, 1, 2].map(|c| bilinear.mix(|i| f32::from(self.crop_rgb[3 * i + c]))))
     }
 }
 

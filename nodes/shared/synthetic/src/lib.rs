@@ -128,8 +128,7 @@ impl SampleGenerator {
     /// # Errors
     /// When a folder cannot be read or holds no usable picture.
     pub fn with_backgrounds(self, folders: &[PathBuf], only_shippable: bool) -> Result<Self, SyntheticError> {
-        let photos = if folders.is_empty() { PhotoBank::default() } else { PhotoBank::load(folders, only_shippable)? };
-        Ok(Self { photos: Arc::new(photos), ..self })
+        Ok(Self { photos: Arc::new(PhotoBank::load(folders, only_shippable)?), ..self })
     }
 
     /// What the scenes are made from.

@@ -146,10 +146,7 @@ impl SceneGenerator {
             false if only_shippable => ObjectPool::load(others)?.only_shippable()?,
             false => ObjectPool::load(others)?,
         };
-        let photos = match backgrounds.is_empty() {
-            true => PhotoBank::default(),
-            false => PhotoBank::load(backgrounds, only_shippable)?,
-        };
+        let photos = PhotoBank::load(backgrounds, only_shippable)?;
         let look = LookConfig::default();
         let shapes = ShapeBank::new(self.seed, look.procedural_shapes);
         Ok(Self { clutter: Some(Arc::new(Clutter { others, shapes, photos, look })), ..self })

@@ -3,7 +3,7 @@
 use crate::config::TextureConfig;
 use crate::evidence::Evidence;
 use crate::texture::{Keyframe, Pyramid, TextureTerm, matches};
-use crate::tracker::LONG_FRAMES;
+use crate::tracker::is_long_gap;
 use crate::types::KnownObject;
 use crate::{TrackingConfig, TrackingError};
 use nalgebra::Matrix6;
@@ -77,7 +77,7 @@ impl Measurer {
         let task = subject.task(&prior);
         let camera = subject.image.intrinsics;
         // After a long gap the contour may be further away than the fine schedule reads.
-        let far = subject.gap_s > LONG_FRAMES * self.frame_s;
+        let far = is_long_gap(subject.gap_s, self.frame_s);
         let seen =
             nearest(keyframes, start).map(|k| matches(k, subject.pyramid, start, &camera, self.reach(subject, start)));
         let Some(seen) = seen.filter(|seen| !seen.is_empty()) else {

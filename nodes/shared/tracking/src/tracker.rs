@@ -107,7 +107,7 @@ impl Tracker {
 
     /// Whether objects have moved further since the last frame than between those of a camera.
     pub(crate) fn after_long_gap(&self, now: &Now<'_>) -> bool {
-        now.gap_s > LONG_FRAMES * self.config.frame_s
+        is_long_gap(now.gap_s, self.config.frame_s)
     }
 
     /// Patches belong to the camera that took them.
@@ -187,6 +187,12 @@ impl Tracker {
 }
 
 /// Gaps of more frames than this are long.
-pub(crate) const LONG_FRAMES: f64 = 3.0;
+const LONG_FRAMES: f64 = 3.0;
+
+/// Whether a gap between frames is long for a camera with `frame_s` between them.
+pub(crate) fn is_long_gap(gap_s: f64, frame_s: f64) -> bool {
+    gap_s > LONG_FRAMES * frame_s
+}
+
 /// A picture whose brightness has a smaller standard deviation shows nothing, grey levels.
 const DARK_SPREAD: f32 = 2.0;

@@ -45,7 +45,7 @@ pub(crate) struct Args {
     #[arg(long)]
     refine_first: bool,
     /// What that pose is found from: `flow`, or `joint` with the contour.
-    #[arg(long, default_value = "flow")]
+    #[arg(long, default_value = "flow", value_parser = ["flow", "joint"])]
     stages: String,
     /// Draws the labels of the first frames into this folder.
     #[arg(long)]

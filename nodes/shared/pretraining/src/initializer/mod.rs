@@ -123,7 +123,7 @@ pub fn train_initializer(
     let network = DetectorConfig::named(&config.network, objects.len())?;
     let generator = config.generator(&objects, &network)?;
     let grid = Grid::new(network.input_px[0], network.input_px[1]);
-    let config = &config.going_on(&objects)?;
+    let config = &config.with_trunk_of_its_start(&network, &objects)?;
     let (state, log) = open(config, &network, &objects)?;
     write_atomically(&config.out.with_extension("card.json"), generator.card().to_json().as_bytes())?;
     let source = Source { generator, objects, grid, config: config.clone() };
@@ -228,12 +228,21 @@ fn open(
 
 impl InitializerTraining {
     /// The training; without a frozen trunk when it begins with a network of the same objects, whose heads have learnt all that this
-    /// trunk tells.
-    fn going_on(&self, objects: &ObjectSet) -> Result<Self, PretrainError> {
-        let network = DetectorConfig::named(&self.network, objects.len())?;
-        let start = start_file(self, &network)?.map(|path| Weights::read_info(&path)).transpose()?;
-        let known = start.is_some_and(|info| knows(&info, objects));
-        Ok(Self { frozen_trunk: if known { 0.0 } else { self.frozen_trunk }, ..self.clone() })
+    /// trunk tells. One that is resumed keeps to what it began with: the file of its start may be gone.
+    fn with_trunk_of_its_start(&self, network: &DetectorConfig, objects: &ObjectSet) -> Result<Self, PretrainError> {
+        let never_frozen = match self.resume {
+            true => self.begun().is_some_and(|begun| begun.frozen_trunk == 0.0),
+            false => {
+                let start = start_file(self, network)?.map(|path| Weights::read_info(&path)).transpose()?;
+                start.is_some_and(|info| knows(&info, objects))
+            }
+        };
+        Ok(Self { frozen_trunk: if never_frozen { 0.0 } else { self.frozen_trunk }, ..self.clone() })
+    }
+
+    /// The configuration that a run to be resumed began with; whether it is the same run is checked when it is opened.
+    fn begun(&self) -> Option<Self> {
+        serde_json::from_str(&std::fs::read_to_string(self.run_path()).ok()?).ok()
     }
 }
 

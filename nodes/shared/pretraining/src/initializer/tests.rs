@@ -42,6 +42,19 @@ impl Progress for StopAt {
 }
 
 #[test]
+fn a_training_that_knows_its_objects_freezes_nothing_and_resumes_without_its_start() {
+    let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let start = train_initializer(&tiny(one.path()), &mut Silent).unwrap().written;
+    let mut config = InitializerTraining { warm_start: WarmStart::File(start.clone()), ..tiny(two.path()) };
+    assert!(config.frozen_trunk > 0.0);
+    assert!(!train_initializer(&config, &mut StopAt(2, 0)).unwrap().finished);
+    assert_eq!(config.begun().unwrap().frozen_trunk, 0.0);
+    std::fs::remove_file(start).unwrap();
+    config.resume = true;
+    assert!(train_initializer(&config, &mut Silent).unwrap().finished);
+}
+
+#[test]
 fn an_interrupted_run_ends_with_the_bytes_of_an_unbroken_one() {
     let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let whole = train_initializer(&tiny(one.path()), &mut Silent).unwrap();
