@@ -22,6 +22,9 @@ pub struct GateDecision {
     pub after_rotation_xyzw: [f64; 4],
     /// Its translation, metres.
     pub after_translation_m: [f64; 3],
+    /// The solver's own covariance of the refined pose, row-major 6 x 6 (translation in m, then rotation in rad, camera axes), not
+    /// scaled by what was learnt.
+    pub solver_covariance: [f64; 36],
     /// What the decision was made from, by [`GateDecision::EVIDENCE`]; NaN where unknown.
     pub evidence: [f64; GateDecision::EVIDENCE.len()],
 }
@@ -95,7 +98,7 @@ impl GateDecisions<'_> {
 }
 
 impl Message for GateDecisions<'static> {
-    const TYPE_NAME: &'static str = "GateDecisions@1";
+    const TYPE_NAME: &'static str = "GateDecisions@2";
     type View<'a> = GateDecisions<'a>;
 
     fn view(bytes: &[u8]) -> Result<GateDecisions<'_>, MalformedMessage> {

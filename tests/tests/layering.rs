@@ -36,8 +36,9 @@ const NODES: [&str; 11] = [
     "pseudoflow-evaluator",
     "pseudoflow-recorder",
 ];
-const SHARED: [&str; 15] = [
+const SHARED: [&str; 16] = [
     "pseudoflow-msgs",
+    "pseudoflow-files",
     "pseudoflow-geometry",
     "pseudoflow-imaging",
     "pseudoflow-network",

@@ -44,3 +44,15 @@ pub fn take_out(graph: &mut Graph, names: &[&str]) {
     let is_taken = |output: &PortRef| nodes.values().any(|spec| spec.inputs.values().any(|from| from == output));
     graph.feedback.retain(is_taken);
 }
+
+/// Leaves the flow network out of a refinement: pnp solves from contours alone, from the rough poses of `source`.
+///
+/// # Errors
+/// The graph has no node `pnp`.
+pub fn from_contours_alone(graph: &mut Graph, source: &str) -> Result<()> {
+    take_out(graph, &["renderer", "flow"]);
+    let pnp = graph.nodes.get_mut("pnp").context("the graph has no node `pnp`")?;
+    let rough = PortRef { node: source.into(), port: "initial_poses".into() };
+    pnp.inputs.insert("initial_poses".into(), rough);
+    Ok(())
+}

@@ -67,9 +67,11 @@ fn registry() -> Registry {
         .with::<pseudoflow_evaluator::results::ResultsNode>()
         .with::<pseudoflow_recorder::RecorderNode>();
     #[cfg(feature = "training")]
-    let registry = registry.with::<pseudoflow_trainer::TrainerNode>();
+    let registry = registry.with::<pseudoflow_trainer::TrainerNode>().with::<commands::calibrate::ScenesNode>();
     #[cfg(not(feature = "training"))]
-    let registry = registry.without("trainer", "this binary cannot train: build it with its feature `training`");
+    let registry = ["trainer", "scenes"].into_iter().fold(registry, |registry, kind| {
+        registry.without(kind, "this binary cannot train: build it with its feature `training`")
+    });
     registry
 }
 

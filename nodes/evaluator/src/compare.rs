@@ -140,7 +140,7 @@ impl Comparison {
     pub fn write_json(&self, path: &Path) -> Result<(), EvalError> {
         let text = serde_json::to_string_pretty(self);
         let text = text.map_err(|source| EvalError::Json { path: path.to_owned(), source })?;
-        pseudoflow_runtime::files::write(path, (text + "\n").as_bytes()).map_err(EvalError::io(path))
+        pseudoflow_files::write_private(path, (text + "\n").as_bytes()).map_err(EvalError::io(path))
     }
 
     /// Writes the comparison as one self-contained page.
@@ -165,7 +165,7 @@ impl Comparison {
         write_row(&mut html, "all", &self.overall, " class=\"overall\"");
         html += "</table>";
         let title = format!("{} against {}", self.b, self.a);
-        pseudoflow_runtime::files::write(path, page(&title, &html).as_bytes()).map_err(EvalError::io(path))
+        pseudoflow_files::write_private(path, page(&title, &html).as_bytes()).map_err(EvalError::io(path))
     }
 }
 

@@ -37,6 +37,9 @@ pub struct GateStep {
     pub after: Pose,
     /// Whether it was taken.
     pub accepted: bool,
+    /// The solver's own covariance of the refined pose, row-major 6 x 6, not scaled by what was learnt; `None` in files of
+    /// earlier versions.
+    pub solver_covariance: Option<[f64; 36]>,
     /// What the decision was made from, and the claimed probability that it is better (`better`).
     pub evidence: BTreeMap<String, f64>,
 }

@@ -301,7 +301,7 @@ impl Report {
     /// When the file cannot be written.
     pub fn write_json(&self, path: &Path) -> Result<(), EvalError> {
         let text = serde_json::to_string(self).map_err(|source| EvalError::Json { path: path.to_owned(), source })?;
-        pseudoflow_runtime::files::write(path, (text + "\n").as_bytes()).map_err(EvalError::io(path))
+        pseudoflow_files::write_private(path, (text + "\n").as_bytes()).map_err(EvalError::io(path))
     }
 
     /// Adds what the report says without some objects: [`Report::without`].

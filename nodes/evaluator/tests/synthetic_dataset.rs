@@ -259,6 +259,7 @@ fn what_is_wrong_is_said_and_of_whom() {
             before: before.camera_from_object.pose(),
             after: e.camera_from_object.pose(),
             accepted: true,
+            solver_covariance: None,
             evidence: Default::default(),
         }],
     };

@@ -75,6 +75,7 @@ impl Look {
             before_translation_m: refinement.before.translation.vector.into(),
             after_rotation_xyzw: quaternion_xyzw(&refinement.after),
             after_translation_m: refinement.after.translation.vector.into(),
+            solver_covariance: refinement.solver_covariance,
             evidence,
         })
     }

@@ -10,7 +10,7 @@ use pseudoflow_geometry::Intrinsics;
 use pseudoflow_imaging::{ObjectSet, RgbImage};
 use pseudoflow_msgs::ros::{Header, Naming, Time};
 use pseudoflow_msgs::{CameraFrame, ObjectPose, ObjectPoses, ObjectStatuses, Pictures};
-use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role, files};
+use pseudoflow_runtime::{Context, Inputs, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -212,11 +212,11 @@ impl RecorderNode {
 
 /// Writes the picture of a frame beside its place and renames it.
 fn picture(folder: &Path, sequence: u32, jpeg: &[u8]) -> Result<(), NodeError> {
-    files::private_folder(folder)?;
+    pseudoflow_files::private_folder(folder)?;
     let path = folder.join(format!("{sequence:06}.jpg"));
     let beside = path.with_extension("part");
     let _ = std::fs::remove_file(&beside); // of a recorder that was killed here
-    files::create_private(&beside)?.write_all(jpeg)?;
+    pseudoflow_files::create_private(&beside)?.write_all(jpeg)?;
     Ok(std::fs::rename(&beside, &path)?)
 }
 

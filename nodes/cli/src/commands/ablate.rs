@@ -248,10 +248,8 @@ fn write_table(ablation: &Ablation, jobs: &[Job<'_>], out: &Path) -> Result<Stri
         }
         text.push('\n');
     }
-    let (path, part) = (out.join("ablation.csv"), out.join("ablation.csv.part"));
-    std::fs::write(&part, csv)
-        .and_then(|()| std::fs::rename(&part, &path))
-        .with_context(|| format!("{}", path.display()))?;
+    let path = out.join("ablation.csv");
+    pseudoflow_files::write(&path, csv.as_bytes()).with_context(|| format!("{}: cannot be written", path.display()))?;
     Ok(text)
 }
 

@@ -3,23 +3,24 @@
 //! says about itself a model is fitted that tells how often that was right.
 
 mod fit;
-mod pipeline;
 mod samples;
+mod scenes;
 mod starts;
+
+pub(crate) use scenes::ScenesNode;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use fit::{Fitted, fit_stage};
-use pipeline::{Pipeline, PipelineConfig};
-use pseudoflow_cli::progress::progress_bar;
-use pseudoflow_flow::FlowConfig;
-use pseudoflow_inference::EngineConfig;
-use pseudoflow_network::ComputeDevice;
+use pseudoflow_cli::in_process::{Written, from_contours_alone};
+use pseudoflow_pnp::Stages;
 use pseudoflow_pnp::gate::{GateModel, Stage};
-use pseudoflow_pnp::{PnpNodeConfig, Stages};
-use pseudoflow_renderer::RendererConfig;
-use samples::{Maker, Sample};
+use pseudoflow_runtime::{Graph, read_lines};
+use samples::{Sample, SampleReader};
+use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+
+const GRAPH: &str = include_str!("../../../../config/graphs/calibrate.yaml");
 
 #[derive(clap::Args)]
 pub(crate) struct Args {
@@ -39,14 +40,17 @@ pub(crate) struct Args {
     /// What poses are solved from: flow, region (the contour alone) or joint.
     #[arg(long, default_value = "flow")]
     stages: String,
-    /// Refinements to make and learn from.
+    /// Synthetic scenes to refine and learn from, each with about four objects.
     ///
     /// 0 to learn from `--samples` alone.
-    #[arg(long, default_value_t = 3000)]
-    pairs: usize,
+    #[arg(long, default_value_t = 700)]
+    scenes: u64,
+    /// Took the place of `--scenes` in earlier versions.
+    #[arg(long, hide = true)]
+    pairs: Option<u64>,
     /// Width and height of the crops, pixels.
     ///
-    /// Several share the refinements.
+    /// Several share the scenes.
     #[arg(long, value_delimiter = ',', default_value = "256")]
     size: Vec<u32>,
     /// Iterations of the network.
@@ -60,8 +64,8 @@ pub(crate) struct Args {
     seed: u64,
     /// The model to write; `gate.model` of pnp names it.
     ///
-    /// Other stages stay as they are in it, or as in the binary where there is no such file yet. The samples go beside
-    /// it, `.STAGES.samples.jsonl`.
+    /// Other stages stay as they are in it, or as in the binary where there is no such file yet. Beside it lie the samples,
+    /// `.STAGES.samples.jsonl`, and the runs that they come from, `.calibrate/`.
     #[arg(long)]
     out: PathBuf,
     /// Samples of earlier runs to fit with too.
@@ -71,17 +75,23 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     ensure!(!args.size.is_empty() && args.ridge > 0.0, "give at least one `--size` and a `--ridge` over 0");
+    if let Some(pairs) = args.pairs {
+        bail!(
+            "`--pairs {pairs}`: write `--scenes {}`: scenes are counted now, of about four objects each",
+            pairs.div_ceil(4)
+        );
+    }
     let stages = super::eval::stages_named(&args.stages)?;
     ensure!(
-        args.pairs == 0 || stages == Stages::Region || args.weights.is_some(),
+        args.scenes == 0 || stages == Stages::Region || args.weights.is_some(),
         "`--stages {}` needs `--weights`: those of the flow network",
         args.stages
     );
     let mut all = Vec::new();
     for file in &args.samples {
-        all.extend(samples::read(file)?);
+        all.extend(read_lines::<Sample>(file).with_context(|| format!("`--samples {}`", file.display()))?);
     }
-    if args.pairs > 0 {
+    if args.scenes > 0 {
         let made = make(args, stages)?;
         samples::write(&args.out.with_extension(format!("{}.samples.jsonl", args.stages)), &made)?;
         all.extend(made);
@@ -100,56 +110,62 @@ pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// As many refinements as asked for, an equal share of each folder and size.
+/// Refinements of as many scenes as asked for, an equal share of each folder and size.
 fn make(args: &Args, stages: Stages) -> Result<Vec<Sample>> {
-    let bar = progress_bar(args.pairs as u64, "refine");
-    let shares = args.objects.len() * args.size.len();
-    let mut made = Vec::with_capacity(args.pairs);
-    for (i, (folder, size)) in args.objects.iter().flat_map(|f| args.size.iter().map(move |s| (f, *s))).enumerate() {
-        let wanted = args.pairs * (i + 1) / shares - args.pairs * i / shares;
-        let mut pipeline = pipeline(args, stages, folder, size)?;
-        let maker = Maker::open(folder, args.seed + 1000 * i as u64, stages.learnt())?;
-        let mut of_share = Vec::with_capacity(wanted);
-        let mut scene = 0;
-        while of_share.len() < wanted {
-            of_share.extend(maker.scene(scene, &mut pipeline)?);
-            scene += 1;
-            bar.set_position((made.len() + of_share.len()).min(args.pairs) as u64);
-            ensure!(scene < 100 + 20 * wanted as u64, "{}: its objects are hardly ever seen", folder.display());
+    let shares: Vec<(&PathBuf, u32)> =
+        args.objects.iter().flat_map(|folder| args.size.iter().map(move |size_px| (folder, *size_px))).collect();
+    let files = args.out.with_extension("calibrate");
+    let mut made = Vec::new();
+    for (i, (folder, size_px)) in shares.iter().enumerate() {
+        let scenes = args.scenes * (i as u64 + 1) / shares.len() as u64 - args.scenes * i as u64 / shares.len() as u64;
+        if scenes > 0 {
+            let share = Share { objects: folder, size_px: *size_px, scenes, seed: args.seed + 1000 * i as u64 };
+            let what = format!("refine, {} of {}", i + 1, shares.len());
+            made.extend(share.refine(args, stages, &files.join(i.to_string()), &what)?);
         }
-        of_share.truncate(wanted);
-        made.extend(of_share);
     }
-    bar.finish_and_clear();
     Ok(made)
 }
 
-fn pipeline(args: &Args, stages: Stages, objects: &Path, size_px: u32) -> Result<Pipeline> {
-    let views = match &args.weights {
-        Some(weights) if stages != Stages::Region => {
-            Some((RendererConfig::new(objects.to_owned(), size_px), flow_config(args, weights, size_px)?))
-        }
-        _ => None,
-    };
-    Pipeline::open(PipelineConfig {
-        views,
-        // Without a gate every solution comes out, the bad ones too.
-        pnp: PnpNodeConfig { gate: None, stages, objects: Some(objects.to_owned()), ..PnpNodeConfig::default() },
-        seed: args.seed,
-    })
+/// The scenes of one object set that are refined at one size.
+struct Share<'a> {
+    objects: &'a Path,
+    size_px: u32,
+    scenes: u64,
+    seed: u64,
 }
 
-fn flow_config(args: &Args, weights: &Path, size_px: u32) -> Result<FlowConfig> {
-    Ok(FlowConfig {
-        model: weights.to_owned(),
-        network: pseudoflow_cli::graphs::network(&args.network)?,
-        size_px,
-        iterations: args.iterations,
-        max_batch: 16,
-        device: ComputeDevice::default(),
-        engine: EngineConfig::default(),
-        lockstep: None,
-    })
+impl Share<'_> {
+    /// Runs the graph in a folder of its own; `what` stands before the progress.
+    fn refine(&self, args: &Args, stages: Stages, folder: &Path, what: &str) -> Result<Vec<Sample>> {
+        std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
+        let (truth, details) = (folder.join("truth.jsonl"), folder.join("details.jsonl"));
+        let mut graph = self.graph(args, stages)?;
+        graph.set_params(&json!({"truth": truth, "details": details}))?;
+        let written = Written { graph: &graph, file: &folder.join("graph.yaml") };
+        written.run(&crate::registry(), what, self.scenes, 0)?;
+        SampleReader::open(self.objects, stages.learnt())?.samples(&truth, &details)
+    }
+
+    fn graph(&self, args: &Args, stages: Stages) -> Result<Graph> {
+        let mut graph = Graph::parse(GRAPH, Path::new("config/graphs/calibrate.yaml"))?;
+        graph.seed = self.seed;
+        graph.set_params(&json!({
+            "objects": self.objects,
+            "scenes": self.scenes,
+            "size_px": self.size_px,
+            "stages": stages,
+            "network": pseudoflow_cli::graphs::network(&args.network)?,
+        }))?;
+        match args.weights.as_ref().filter(|_| stages != Stages::Region) {
+            Some(weights) => {
+                graph.set_params(&json!({"weights": weights}))?;
+                graph.set("flow.iterations", &json!(args.iterations).to_string())?;
+            }
+            None => from_contours_alone(&mut graph, "scenes")?,
+        }
+        Ok(graph)
+    }
 }
 
 fn report(samples: &[Sample], fitted: &Fitted) -> String {
@@ -190,7 +206,8 @@ fn write(args: &Args, stage: Stage, samples: &[Sample], fitted: Fitted) -> Resul
         "# What pnp's gate believes (nodes/pnp/src/gate/model.rs says what the numbers mean).\n{}",
         serde_yaml::to_string(&model)?
     );
-    std::fs::write(&args.out, text).with_context(|| format!("{}: cannot be written", args.out.display()))
+    pseudoflow_files::write(&args.out, text.as_bytes())
+        .with_context(|| format!("{}: cannot be written", args.out.display()))
 }
 
 /// The command again, for the file's head.
@@ -199,11 +216,11 @@ fn command(args: &Args, refinements: usize) -> String {
     let sizes: Vec<String> = args.size.iter().map(u32::to_string).collect();
     let weights = args.weights.as_ref().map_or(String::new(), |w| format!(" --weights {}", w.display()));
     format!(
-        "pseudoflow calibrate --stages {} --objects {}{weights} --size {} --pairs {} --ridge {} --seed {} ({refinements} refinements)",
+        "pseudoflow calibrate --stages {} --objects {}{weights} --size {} --scenes {} --ridge {} --seed {} ({refinements} refinements)",
         args.stages,
         folders.join(" "),
         sizes.join(","),
-        args.pairs,
+        args.scenes,
         args.ridge,
         args.seed,
     )

@@ -25,15 +25,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> Result<ExitCode> {
     let network = network(&args.network)?;
     let onnx = pseudoflow_flow::load_model(&args.weights, network, args.size, args.iterations)?;
-    write_whole(&args.out, &onnx)?;
+    pseudoflow_files::write(&args.out, &onnx).with_context(|| format!("{}: cannot be written", args.out.display()))?;
     println!("{}: {} bytes, {} px", args.out.display(), onnx.len(), args.size);
     Ok(ExitCode::SUCCESS)
-}
-
-/// Writes beside and renames: the file is there whole or not at all.
-fn write_whole(path: &std::path::Path, bytes: &[u8]) -> Result<()> {
-    let beside = path.with_extension("part");
-    let failed = || format!("{}: cannot be written", path.display());
-    std::fs::write(&beside, bytes).with_context(failed)?;
-    std::fs::rename(&beside, path).with_context(failed)
 }

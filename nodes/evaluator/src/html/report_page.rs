@@ -20,7 +20,7 @@ impl Report {
             self.pictures(pictures)
         );
         let text = page(&format!("Pose errors on {}", self.title()), &body);
-        pseudoflow_runtime::files::write(path, text.as_bytes()).map_err(EvalError::io(path))
+        pseudoflow_files::write_private(path, text.as_bytes()).map_err(EvalError::io(path))
     }
 
     pub(super) fn colour(&self, set: &str) -> String {

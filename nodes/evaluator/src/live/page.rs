@@ -29,7 +29,7 @@ impl LiveReport {
     pub fn write_html(&self, path: &Path) -> Result<(), EvalError> {
         let body = format!("{}<pre>{}</pre>", self.timelines(), escape(&self.to_string()));
         let text = page(&format!("{} in {}", self.source, self.graph), &body);
-        pseudoflow_runtime::files::write(path, text.as_bytes())
+        pseudoflow_files::write_private(path, text.as_bytes())
             .map_err(|source| EvalError::Io { path: path.to_owned(), source })
     }
 

@@ -205,7 +205,7 @@ impl LiveReport {
     /// When the file cannot be written.
     pub fn write_json(&self, path: &Path) -> Result<(), EvalError> {
         let text = serde_json::to_vec_pretty(self).map_err(std::io::Error::from);
-        let written = text.and_then(|text| pseudoflow_runtime::files::write(path, &text));
+        let written = text.and_then(|text| pseudoflow_files::write_private(path, &text));
         written.map_err(|source| EvalError::Io { path: path.to_owned(), source })
     }
 }

@@ -37,6 +37,9 @@ struct Decision {
     /// Unit quaternion x, y, z, w and metres.
     before: ([f64; 4], [f64; 3]),
     after: ([f64; 4], [f64; 3]),
+    /// Row-major 6 x 6.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    solver_covariance: Option<Vec<f64>>,
     evidence: BTreeMap<String, f64>,
 }
 
@@ -48,6 +51,11 @@ impl ImageDetails {
             covariance: (pose.source == PoseSource::Refined as u32).then(|| pose.covariance.to_vec()),
         });
         Self { scene_id, image_id, poses: poses.collect(), gate: decisions.iter().map(Decision::new).collect() }
+    }
+
+    /// All decisions of the gate, each with the ids of its object and of its instance; an error where a pose of the file is none.
+    pub fn decisions(&self) -> impl Iterator<Item = ((u32, u32), Result<GateStep, EvalError>)> {
+        self.gate.iter().map(|d| ((d.object_id, d.instance), d.step()))
     }
 
     /// The gate's decisions on one instance.
@@ -66,6 +74,7 @@ impl Decision {
             accepted: decision.accepted != 0,
             before: (decision.before_rotation_xyzw, decision.before_translation_m),
             after: (decision.after_rotation_xyzw, decision.after_translation_m),
+            solver_covariance: Some(decision.solver_covariance.to_vec()),
             evidence: named.filter(|(_, v)| v.is_finite()).map(|(name, v)| (name.to_owned(), v)).collect(),
         }
     }
@@ -79,6 +88,7 @@ impl Decision {
             before: pose(&self.before)?,
             after: pose(&self.after)?,
             accepted: self.accepted,
+            solver_covariance: self.solver_covariance.as_deref().and_then(|values| values.try_into().ok()),
             evidence: self.evidence.clone(),
         })
     }

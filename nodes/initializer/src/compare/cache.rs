@@ -4,7 +4,6 @@ use super::views::View;
 use nalgebra::{Quaternion, UnitQuaternion, Vector2};
 use pseudoflow_imaging::Mesh;
 use std::hash::Hasher;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Changes whenever the same things give other views.
@@ -79,17 +78,10 @@ pub(super) fn load(path: &Path) -> Option<Vec<View>> {
     views
 }
 
-/// Written beside and renamed: a reader sees a whole file or none.
+/// Keeps views; a reader sees a whole file or none.
 pub(super) fn keep(views: &[View], path: &Path) -> std::io::Result<()> {
     std::fs::create_dir_all(path.parent().unwrap_or(Path::new(".")))?;
-    let beside = path.with_extension(format!("{}.part", std::process::id()));
-    let written = std::fs::File::create(&beside).and_then(|mut file| {
-        file.write_all(&encode(views))?;
-        file.sync_all()
-    });
-    written.and_then(|()| std::fs::rename(&beside, path)).inspect_err(|_| {
-        let _ = std::fs::remove_file(&beside);
-    })
+    pseudoflow_files::write(path, &encode(views))
 }
 
 /// Magic, checksum, then of each view: turn, shape, cells across, cells, and for each cell a scale and bytes.

@@ -1,5 +1,6 @@
 use super::Evidence;
 use pseudoflow_geometry::{Pose, rotation_angle_rad};
+use pseudoflow_msgs::GateDecision;
 use pseudoflow_solver::PnpResult;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -96,6 +97,13 @@ impl Feature {
         Self::Shift,
         Self::Certainty,
     ];
+
+    /// The feature of a name of [`GateDecision::EVIDENCE`].
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        let place = GateDecision::EVIDENCE.iter().position(|known| *known == name)?;
+        Self::ALL.get(place).copied()
+    }
 }
 
 /// The features of one refinement; NaN where one is not known.

@@ -5,7 +5,7 @@ use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use pseudoflow_geometry::quaternion_xyzw;
 use pseudoflow_msgs::{FlowFields, ObjectPose, ReferenceViews};
 use pseudoflow_runtime::{
-    Context, Inputs, JsonLines, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role, files, read_lines,
+    Context, Inputs, JsonLines, Node, NodeError, OrBadInput, Outputs, Port, PortSpec, Role, read_lines,
 };
 use pseudoflow_solver::{PnpConfig, PnpStatus};
 use schemars::JsonSchema;
@@ -165,6 +165,7 @@ impl Node for JudgeNode {
         let verdict =
             verdict.ok_or("no frame has an initial pose that could be refined: there is nothing to compare")?;
         let text = serde_json::to_vec_pretty(&verdict)?;
-        files::write(path, &text).map_err(|error| format!("{}: cannot be written: {error}", path.display()).into())
+        pseudoflow_files::write_private(path, &text)
+            .map_err(|error| format!("{}: cannot be written: {error}", path.display()).into())
     }
 }

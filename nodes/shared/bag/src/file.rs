@@ -70,7 +70,7 @@ impl std::fmt::Debug for FileWriter {
 impl FileWriter {
     /// Creates a file that must not exist. Chunks end at [`Self::end_chunk`] or beyond 1 MiB.
     pub(super) fn create(path: &Path, packing: Packing, chunk_bytes: Option<u64>) -> Result<Self, BagError> {
-        let file = pseudoflow_runtime::files::create_private(path).map_err(|source| match source.kind() {
+        let file = pseudoflow_files::create_private(path).map_err(|source| match source.kind() {
             std::io::ErrorKind::AlreadyExists => BagError::Exists { path: path.to_owned() },
             _ => BagError::Io { path: path.to_owned(), source },
         })?;

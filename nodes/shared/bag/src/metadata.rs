@@ -212,7 +212,7 @@ pub(super) fn write(directory: &Path, information: &str) -> Result<(), BagError>
     let indented: String = information.lines().map(|line| format!("  {line}\n")).collect();
     let path = directory.join(METADATA_FILE);
     let text = format!("rosbag2_bagfile_information:\n{indented}");
-    pseudoflow_runtime::files::write(&path, text.as_bytes()).map_err(BagError::io(&path))
+    pseudoflow_files::write_private(&path, text.as_bytes()).map_err(BagError::io(&path))
 }
 
 #[derive(Deserialize)]

@@ -23,7 +23,7 @@ impl Partial {
         if beside.exists() {
             std::fs::remove_dir_all(&beside).map_err(BagError::io(&beside))?;
         }
-        pseudoflow_runtime::files::private_folder(&beside).map_err(BagError::io(&beside))?;
+        pseudoflow_files::private_folder(&beside).map_err(BagError::io(&beside))?;
         Ok(Self { beside, place: place.to_owned(), kept: false })
     }
 

@@ -67,7 +67,7 @@ impl BagWriter {
         if directory.exists() {
             return Err(BagError::Exists { path: directory.to_owned() });
         }
-        pseudoflow_runtime::files::private_folder(directory).map_err(BagError::io(directory))?;
+        pseudoflow_files::private_folder(directory).map_err(BagError::io(directory))?;
         Self::open(directory, name, packing, 0)
     }
 

@@ -4,8 +4,7 @@ use crate::ContourError;
 use crate::model::{ContourModel, ContourPoint, ModelSettings};
 use pseudoflow_imaging::Mesh;
 use std::hash::Hasher;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Changes whenever the same mesh gives other points.
 const VERSION: u64 = 1;
@@ -53,18 +52,9 @@ pub fn load_or_make(mesh: &Mesh, settings: &ModelSettings, folder: &Path) -> Res
     Ok(model)
 }
 
-/// Written beside and renamed: a reader sees a whole file or none.
 fn keep(model: &ContourModel, path: &Path) -> std::io::Result<()> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder)?;
-    let beside: PathBuf = path.with_extension(format!("{}.part", std::process::id()));
-    let written = std::fs::File::create(&beside).and_then(|mut file| {
-        file.write_all(&encode(model))?;
-        file.sync_all()
-    });
-    written.and_then(|()| std::fs::rename(&beside, path)).inspect_err(|_| {
-        let _ = std::fs::remove_file(&beside);
-    })
+    std::fs::create_dir_all(path.parent().unwrap_or(Path::new(".")))?;
+    pseudoflow_files::write(path, &encode(model))
 }
 
 const MAGIC: &[u8; 8] = b"pfcont01";

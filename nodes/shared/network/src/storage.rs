@@ -4,7 +4,6 @@ use crate::error::{NetworkError, Result, io_error};
 use crate::weights::{NamedTensor, WeightsInfo};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use std::collections::{BTreeMap, HashMap};
-use std::io::Write;
 use std::path::Path;
 
 /// Reads all f32 tensors and the info of a safetensors file.
@@ -77,23 +76,7 @@ pub fn serialize_with<'a>(
     safetensors::serialize(views, Some(metadata)).expect("names are unique, shapes are small")
 }
 
-/// Writes beside the target, syncs, and renames over it, so that a crash leaves the old or the new file, never half.
+/// [`pseudoflow_files::write`] with this crate's error.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".{}.part", std::process::id()));
-    let part = path.with_file_name(name);
-    let write = || {
-        let mut file = std::fs::File::create(&part)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        std::fs::rename(&part, path)?;
-        // Makes the rename itself durable.
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        std::fs::File::open(folder)?.sync_all()
-    };
-    write().map_err(|e| {
-        // Best effort: the error that matters is the first one.
-        let _ = std::fs::remove_file(&part);
-        io_error(path)(e)
-    })
+    pseudoflow_files::write(path, bytes).map_err(io_error(path))
 }

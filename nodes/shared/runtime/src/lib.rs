@@ -60,7 +60,6 @@ mod clock;
 mod context;
 mod draws;
 mod error;
-pub mod files;
 pub mod graph;
 mod histogram;
 mod ipc;

@@ -98,7 +98,7 @@ fn stage_model(samples: &[&Sample], ridge: f64) -> Result<StageModel> {
     let fit = |kind: Kind| {
         let pairs: Vec<(Features, bool)> = samples.iter().map(|s| (s.features(), (kind.outcome)(s))).collect();
         let found = Logistic::fit(&pairs, kind.features, ridge);
-        found.with_context(|| format!("no model of `{}`: both outcomes must occur; take more `--pairs`", kind.name))
+        found.with_context(|| format!("no model of `{}`: both outcomes must occur; take more `--scenes`", kind.name))
     };
     let [better, refined_right, initial_right] = KINDS;
     let mut model = StageModel {

@@ -2,7 +2,7 @@
 
 use super::{Args, stages_named};
 use anyhow::{Context as _, Result, bail, ensure};
-use pseudoflow_cli::in_process::take_out;
+use pseudoflow_cli::in_process::from_contours_alone;
 use pseudoflow_evaluator::EvalDataset;
 use pseudoflow_inference::{Backend, EngineConfig};
 use pseudoflow_initializer::CompareConfig;
@@ -134,14 +134,7 @@ fn refining(args: &Args, dataset: &EvalDataset, files: &Files) -> Result<Graph> 
 /// Poses from contours alone.
 fn leave_flow_out(graph: &mut Graph, stages: Stages) -> Result<()> {
     ensure!(stages == Stages::Region, "`--stages` but for `region` needs `--weights`");
-    take_out(graph, &["renderer", "flow"]);
-    let pnp = node(graph, "pnp")?;
-    pnp.inputs.insert("initial_poses".into(), port("player", "initial_poses"));
-    Ok(())
-}
-
-fn node<'a>(graph: &'a mut Graph, name: &str) -> Result<&'a mut NodeSpec> {
-    graph.nodes.get_mut(name).with_context(|| format!("the graph has no node `{name}`"))
+    from_contours_alone(graph, "player")
 }
 
 fn port(node: &str, port: &str) -> PortRef {

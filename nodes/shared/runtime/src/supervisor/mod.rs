@@ -141,7 +141,7 @@ pub fn run(graph: &Graph, registry: &Registry, options: &Options) -> Result<Summ
     let resources = run_resources::RunResources::claim(&options.run_dir, plan.nodes.len())?;
     let file = options.run_dir.join("graph.yaml");
     let as_it_runs = graph.resolved().map_err(GraphError::Problems)?.to_yaml()?;
-    crate::files::write(&file, as_it_runs.as_bytes())
+    pseudoflow_files::write_private(&file, as_it_runs.as_bytes())
         .map_err(|source| SupervisorError::File { path: file.clone(), source })?;
     let mut control = control::Control::new(&plan, &resources, options, &file, events)?;
     let result = control.run();

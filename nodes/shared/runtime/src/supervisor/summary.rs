@@ -108,7 +108,7 @@ impl Summary {
 
     pub(super) fn write(&self, path: &Path) -> Result<(), SupervisorError> {
         let text = serde_json::to_vec_pretty(self).map_err(std::io::Error::from);
-        text.and_then(|text| crate::files::write(path, &text))
+        text.and_then(|text| pseudoflow_files::write_private(path, &text))
             .map_err(|source| SupervisorError::File { path: path.to_owned(), source })
     }
 }
