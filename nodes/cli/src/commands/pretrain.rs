@@ -85,6 +85,11 @@ pub(crate) struct Args {
     /// A step of larger crops has fewer. RAFT trains at its own size, the refiner at 128 and 256:2.
     #[arg(long, help_heading = RARE, hide_short_help = true, value_delimiter = ',', value_name = "PX[:WEIGHT][,...]")]
     sizes: Vec<SizeShare>,
+    /// Refiner: weight of the error of the poses that its flows say.
+    ///
+    /// Crop pixels at 256 for an ADD of a diameter.
+    #[arg(long, help_heading = RARE, hide_short_help = true)]
+    pose_weight: Option<f64>,
     /// Initializer: scenes that are used in changing order; a multiple of `--batch`.
     #[arg(long, help_heading = RARE, hide_short_help = true)]
     block: Option<u64>,
@@ -133,6 +138,7 @@ impl Args {
         config.batch = self.batch.unwrap_or(config.batch);
         config.max_lr = self.max_lr.unwrap_or(config.max_lr);
         config.data_threads = self.data_threads.unwrap_or(config.data_threads);
+        config.pose_weight = self.pose_weight.unwrap_or(config.pose_weight);
         config.hold_out = self.hold_out.unwrap_or(config.hold_out);
         config.checkpoint_every = self.checkpoint_every.unwrap_or(config.checkpoint_every);
         config.schedule = self.cool_down.map(|cool_down| Course::Plateau { warm_up: 500, cool_down });

@@ -44,6 +44,7 @@ mod points;
 mod properties;
 mod ransac;
 mod score;
+mod sensitivity;
 mod solver;
 
 #[cfg(test)]
@@ -55,4 +56,5 @@ pub use epnp::{EpnpError, epnp};
 pub use error::{JointError, PnpError};
 pub use joint::{FlowConfig, FlowEvidence, JointConfig, JointResult, JointSolver, JointTask};
 pub use p3p::p3p;
+pub use sensitivity::{PoseErrorSlope, PosedPixels, pose_error_slope};
 pub use solver::{PnpResult, PnpStatus, Solver, UNKNOWN_VARIANCE};

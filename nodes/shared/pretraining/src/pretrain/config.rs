@@ -41,6 +41,10 @@ pub struct PretrainConfig {
     /// paper takes 0.
     #[serde(default)]
     pub hidden_weight: f64,
+    /// Weight in the loss of the error of the poses that the flows say (docs/method.md, "Synthetic pre-training"), crop pixels at 256 for
+    /// an ADD of one diameter. 0 for none; RAFT takes none.
+    #[serde(default)]
+    pub pose_weight: f64,
     /// How the learning rate changes; the refiner's default is a plateau, RAFT's one cycle.
     #[serde(default)]
     pub schedule: Option<Course>,
@@ -178,6 +182,7 @@ impl PretrainConfig {
             iterations: None,
             sizes: Vec::new(),
             hidden_weight: 0.0,
+            pose_weight: 0.0,
             schedule: None,
             average: None,
             hold_out: 0,
@@ -208,6 +213,7 @@ impl PretrainConfig {
             ("iterations", self.iterations.is_none_or(|n| (1..=64).contains(&n)), "1 to 64"),
             ("sizes", self.sizes.iter().all(size_ok), "multiples of 8 from 64 to 1024, with weights over 0"),
             ("hidden_weight", (0.0..=1.0).contains(&self.hidden_weight), "0 to 1"),
+            ("pose_weight", (0.0..=1000.0).contains(&self.pose_weight), "0 to 1000"),
             ("checkpoint_every", self.checkpoint_every > 0, "at least 1"),
             ("validate_every", self.validate_every > 0, "at least 1"),
             ("hold_out", self.hold_out != 1, "0, or at least 2: something must be left to train on"),

@@ -1,5 +1,6 @@
 //! Batches, made by threads of their own while the network trains.
 
+use super::pose_loss::PoseLoss;
 use super::{PretrainConfig, SizeShare};
 use crate::PretrainError;
 use pseudoflow_imaging::RgbImage;
@@ -30,6 +31,8 @@ pub(crate) struct Batch {
     /// `n` planes: 1 where the surface point is seen in the real crop, 0 where it is hidden, -1 in the background.
     visible: Vec<f32>,
     n: usize,
+    /// What the poses that the flows say are judged by, where they are.
+    pub(crate) pose_loss: Option<PoseLoss>,
 }
 
 impl Batch {
@@ -43,6 +46,7 @@ impl Batch {
             mask: planes(1),
             visible: planes(1),
             n: samples.len(),
+            pose_loss: None,
         };
         samples.iter().for_each(|sample| batch.push(sample, hidden_weight, geometry));
         batch
@@ -68,6 +72,11 @@ impl Batch {
         };
         self.mask.extend(weigh(1.0, hidden_weight, 0.0));
         self.visible.extend(weigh(1.0, 0.0, -1.0));
+    }
+
+    /// With a loss of the poses that the flows say; a weight of 0 is none.
+    fn judged_by_poses(self, samples: &[&Sample], weight: f64) -> Self {
+        Self { pose_loss: (weight > 0.0).then(|| PoseLoss::new(samples, weight)), ..self }
     }
 
     pub(crate) fn pairs(&self) -> usize {
@@ -199,6 +208,7 @@ pub(crate) struct Prefetch {
     shared: Arc<Shared>,
     schedule: Schedule,
     hidden_weight: f32,
+    pose_weight: f64,
     geometry: bool,
     first: u64,
     threads: Vec<JoinHandle<()>>,
@@ -265,7 +275,8 @@ impl Prefetch {
             })
         };
         let threads = (0..config.data_threads).map(spawn).collect();
-        Ok(Self { shared, schedule, hidden_weight: config.hidden_weight as f32, geometry, first, threads })
+        let (hidden_weight, pose_weight) = (config.hidden_weight as f32, config.pose_weight);
+        Ok(Self { shared, schedule, hidden_weight, pose_weight, geometry, first, threads })
     }
 
     /// The batch of the `nth` step since the start. Steps must be asked for in order.
@@ -288,7 +299,8 @@ impl Prefetch {
                 _ => None,
             };
             if let Some(samples) = pairs.iter().map(made).collect::<Option<Vec<_>>>() {
-                return Ok(Batch::new(self.schedule.plan(step).0, &samples, self.hidden_weight, self.geometry));
+                let batch = Batch::new(self.schedule.plan(step).0, &samples, self.hidden_weight, self.geometry);
+                return Ok(batch.judged_by_poses(&samples, self.pose_weight));
             }
             if state.dead {
                 return Err(PretrainError::DataThread);

@@ -5,6 +5,7 @@
 mod config;
 mod data;
 mod networks;
+mod pose_loss;
 mod run;
 mod validation;
 

@@ -51,7 +51,8 @@ impl PairNetwork for RefinerConfig {
 
     fn train(state: &mut TrainState<Self>, batch: &Batch) -> Result<StepStats, NetworkError> {
         let own_px = std::mem::replace(&mut state.network.size_px, batch.size_px);
-        let stats = state.train_step(&batch.refiner_view());
+        let extra = batch.pose_loss.as_ref().map(|loss| |flow_px: &[f32]| loss.of(flow_px));
+        let stats = state.train_step_with(&batch.refiner_view(), extra);
         state.network.size_px = own_px;
         stats
     }
