@@ -286,7 +286,7 @@ mod tests {
     #[test]
     fn one_outcome_only_is_an_error_that_says_what_to_do() {
         let hopeless: Vec<Sample> = samples(50).into_iter().map(|s| Sample { after: 1.0, ..s }).collect();
-        assert!(format!("{:#}", fit_stage(&hopeless, 1.0).err().unwrap()).contains("--pairs"));
+        assert!(format!("{:#}", fit_stage(&hopeless, 1.0).err().unwrap()).contains("--scenes"));
     }
 
     #[test]

@@ -138,10 +138,7 @@ mod tests {
             |by: f32| contracted.iter().zip(&there.gradient).map(|(f, g)| f - by * g / norm).collect::<Vec<f32>>();
         let (less, predicted) = (loss.of(&step(0.5)).value, 0.5 * norm);
         assert!(there.value > 0.1 && norm > 0.0, "{}", there.value);
-        assert!(
-            (there.value - less) > 0.5 * predicted && (there.value - less) < 1.5 * predicted,
-            "{} {less} {predicted}",
-            there.value
-        );
+        // Downhill at least as fast as it says: it is damped where points hardly determine the pose.
+        assert!(there.value - less > 0.5 * predicted, "{} {less} {predicted}", there.value);
     }
 }
