@@ -53,7 +53,9 @@ fn a_calibration_and_its_graph_say_the_same() {
     let kept = folder.path().join("gate.calibrate/0");
     let (truth, details) = (lines(&kept.join("truth.jsonl")), lines(&kept.join("details.jsonl")));
     assert_eq!((truth.len(), details.len()), (10, 10));
-    ["truth.jsonl", "details.jsonl"].map(|name| std::fs::remove_file(kept.join(name)).expect("removed"));
+    for name in ["truth.jsonl", "details.jsonl"] {
+        std::fs::remove_file(kept.join(name)).expect("removed");
+    }
     let graph = kept.join("graph.yaml").display().to_string();
     run(&["run", &graph, "--out", &folder.path().join("run").display().to_string()]);
     assert_eq!((lines(&kept.join("truth.jsonl")), lines(&kept.join("details.jsonl"))), (truth, details));
