@@ -1,6 +1,6 @@
 //! Files that appear whole or not at all: nothing that was recorded or learned is half there after a crash.
 //!
-//! Begin with [`write`]; [`write_private`] for what shows somebody's room.
+//! Begin with [`write()`]; [`write_private`] for what shows somebody's room.
 //!
 //! ```
 //! # let folder = tempfile::tempdir()?;
@@ -31,10 +31,10 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     replace(path, bytes, RIGHTS)
 }
 
-/// As [`write`], readable by its owner alone.
+/// As [`write()`], readable by its owner alone.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_private(path: &Path, bytes: &[u8]) -> Result<()> {
     replace(path, bytes, PRIVATE_RIGHTS)
 }
