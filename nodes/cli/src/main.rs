@@ -49,6 +49,10 @@ enum Command {
     Bag(commands::bag::Command),
 }
 
+/// What to do where a graph names a kind that only training needs.
+#[cfg(not(feature = "training"))]
+const WITHOUT_TRAINING: &str = "this binary cannot train: build it with its feature `training`";
+
 /// Every kind of node that graphs may name.
 fn registry() -> Registry {
     let registry = Registry::new()
@@ -69,9 +73,7 @@ fn registry() -> Registry {
     #[cfg(feature = "training")]
     let registry = registry.with::<pseudoflow_trainer::TrainerNode>().with::<commands::calibrate::ScenesNode>();
     #[cfg(not(feature = "training"))]
-    let registry = ["trainer", "scenes"].into_iter().fold(registry, |registry, kind| {
-        registry.without(kind, "this binary cannot train: build it with its feature `training`")
-    });
+    let registry = registry.without("trainer", WITHOUT_TRAINING).without("scenes", WITHOUT_TRAINING);
     registry
 }
 

@@ -45,7 +45,7 @@ pub(crate) struct Args {
     /// 0 to learn from `--samples` alone.
     #[arg(long, default_value_t = 700)]
     scenes: u64,
-    /// Took the place of `--scenes` in earlier versions.
+    /// What earlier versions counted: refused, with the `--scenes` to write.
     #[arg(long, hide = true)]
     pairs: Option<u64>,
     /// Width and height of the crops, pixels.

@@ -23,6 +23,23 @@ pub struct ExtraLoss {
     pub gradient: Vec<f32>,
 }
 
+/// Computes an [`ExtraLoss`] at the last flows (n, 2, S, S), px.
+pub type ExtraLossAt<'a> = &'a dyn Fn(&[f32]) -> ExtraLoss;
+
+impl ExtraLoss {
+    /// Computes a loss at flows (n, 2, S, S): its value, and a term (shape (1)) that is linear in the flow, so that its gradient is the
+    /// loss's; the term's own value means nothing.
+    ///
+    /// # Panics
+    /// When the gradient has another length than the flows.
+    pub(crate) fn at(flow: Tensor<4>, loss: impl FnOnce(&[f32]) -> Self) -> (f32, Tensor<1>) {
+        let (shape, device, flow_px) = (flow.dims(), flow.device(), values(flow.clone()));
+        let Self { value, gradient } = loss(&flow_px);
+        assert_eq!(gradient.len(), flow_px.len(), "one gradient for each flow value");
+        (value, (flow * Tensor::from_data(TensorData::new(gradient, shape), &device)).sum())
+    }
+}
+
 /// Labels on a device, as a network takes them.
 #[allow(clippy::large_enum_variant, reason = "one exists for each step")]
 enum DeviceLabels {
@@ -118,14 +135,10 @@ impl TrainState<FlowNetwork> {
         let mut extra_value = f32::NAN;
         let (stats, measured) = self.step_measuring(|network| {
             let attempt = network.attempt(&labels, iterations, gamma);
-            let flow_px = values(attempt.flow.clone());
             let flow_loss = attempt.loss * flow_weight;
-            let ExtraLoss { value, gradient } = extra(&flow_px);
-            assert_eq!(gradient.len(), flow_px.len(), "one gradient for each flow value");
+            let (value, term) = ExtraLoss::at(attempt.flow, extra);
             extra_value = value;
-            // Linear in the flow: its gradient is the extra loss's.
-            let slope = Tensor::from_data(TensorData::new(gradient, [batch.n, 2, size_px, size_px]), &device);
-            (flow_loss.clone() + (attempt.flow * slope).sum(), vec![attempt.epe, flow_loss])
+            (flow_loss.clone() + term, vec![attempt.epe, flow_loss])
         })?;
         Ok(StepStats { epe: measured[0], loss: measured[1] + extra_value, ..stats })
     }

@@ -41,7 +41,7 @@ pub use detector::{
 };
 pub use device::OpenDevice;
 pub use flow_network::BuiltFlow;
-pub use labels::ExtraLoss;
+pub use labels::{ExtraLoss, ExtraLossAt};
 pub use loss::{DeviceBatch, FlowBatch, MAX_FLOW_PX, end_point_error, sequence_loss};
 pub use model::{Parameter, Trainable};
 pub use optim::{AdamWConfig, OneCycle, Plateau, Schedule};

@@ -2,10 +2,11 @@
 //! judged by its poses.
 //!
 //! The pose `T` with `g(T, pixels) = sum w J^T r = 0` moves by `dT = H^-1 sum w J^T dpixels` (implicit differentiation, weights and
-//! J held, `H = sum w J^T J`), so that a loss `L(T)` has the slope `w J H^-1 dL/dT` by each pixel. The tangent is translation, then
-//! rotation about the middle of the points, camera axes.
+//! J held, `H = sum w J^T J`), so that a loss `L(T)` has the slope `w J H^-1 dL/dT` by each pixel. The tangent is that of the other
+//! solvers ([`retract`]), with the middle of the points as the object's origin.
 
-use nalgebra::{Matrix2x6, Matrix6, Point3, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
+use crate::normal::retract;
+use nalgebra::{Matrix2x6, Matrix6, Point3, Translation3, Vector2, Vector3, Vector6};
 use pseudoflow_geometry::{Intrinsics, Pose};
 
 /// Surface points, the pixels that are said to show them, and the truth.
@@ -52,32 +53,25 @@ pub fn pose_error_slope(of: &PosedPixels<'_>) -> Option<PoseErrorSlope> {
     if of.points_m.len() < MIN_POINTS || of.points_m.len() != of.pixels.len() {
         return None;
     }
+    // A turn about the middle of the points: about a far origin it would look like a shift.
     let middle = of.points_m.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / of.points_m.len() as f64;
+    let points_m: Vec<Point3<f64>> = of.points_m.iter().map(|p| p - middle).collect();
+    let of = PosedPixels { points_m: &points_m, truth: of.truth * Translation3::from(middle), ..*of };
     let mut pose = of.truth;
     for _ in 0..STEPS {
-        let step = of.step(&pose, &middle)?;
-        pose = moved(&pose, &step, &middle);
+        let step = of.step(&pose)?;
+        pose = retract(&pose, &step);
     }
-    let (hessian, _) = of.normal_equations(&pose, &middle)?;
-    let (add_m, by_pose) = of.add(&pose, &middle);
+    let (hessian, _) = of.normal_equations(&pose)?;
+    let (add_m, by_pose) = of.add(&pose);
     let pull = damped(&hessian, SLOPE_DAMPING).cholesky()?.solve(&by_pose) / of.diameter_m;
     let slope = |(point, pixel): (&Point3<f64>, &[f64; 2])| {
-        let (jacobian, _, weight) = of.linearised(&pose, &middle, point, pixel)?;
+        let (jacobian, _, weight) = of.linearised(&pose, point, pixel)?;
         Some((weight * jacobian * pull).into())
     };
     let by_pixel: Vec<[f64; 2]> = of.points_m.iter().zip(of.pixels).map(slope).collect::<Option<_>>()?;
     let found = PoseErrorSlope { add_of_diameter: add_m / of.diameter_m, by_pixel };
     (found.add_of_diameter.is_finite() && found.by_pixel.iter().flatten().all(|v| v.is_finite())).then_some(found)
-}
-
-/// A pose after a step in the tangent.
-fn moved(pose: &Pose, step: &Vector6<f64>, middle: &Vector3<f64>) -> Pose {
-    let (shift, turn) = (step.fixed_rows::<3>(0).into_owned(), step.fixed_rows::<3>(3).into_owned());
-    let turn = UnitQuaternion::from_scaled_axis(turn);
-    let there = pose * Point3::from(*middle);
-    // The middle moves by the shift alone.
-    let rotation = UnitQuaternion::new_normalize((turn * pose.rotation).into_inner());
-    Pose::from_parts(Translation3::from(there.coords + shift - rotation * middle), rotation)
 }
 
 fn damped(hessian: &Matrix6<f64>, share: f64) -> Matrix6<f64> {
@@ -89,14 +83,13 @@ impl PosedPixels<'_> {
     fn linearised(
         &self,
         pose: &Pose,
-        middle: &Vector3<f64>,
         point: &Point3<f64>,
         pixel: &[f64; 2],
     ) -> Option<(Matrix2x6<f64>, Vector2<f64>, f64)> {
         let p = pose * point;
         let seen = self.camera.project(&p)?;
         let residual = Vector2::new(seen.x - pixel[0], seen.y - pixel[1]);
-        let arm = pose.rotation * (point.coords - middle);
+        let arm = pose.rotation * point.coords;
         let row = |focal: f64, axis: Vector3<f64>, coordinate: f64| {
             let by_point = (axis - Vector3::z() * (coordinate / p.z)) * (focal / p.z);
             let by_turn = arm.cross(&by_point);
@@ -108,30 +101,30 @@ impl PosedPixels<'_> {
         Some((jacobian, residual, weight))
     }
 
-    fn normal_equations(&self, pose: &Pose, middle: &Vector3<f64>) -> Option<(Matrix6<f64>, Vector6<f64>)> {
+    fn normal_equations(&self, pose: &Pose) -> Option<(Matrix6<f64>, Vector6<f64>)> {
         let mut sums = (Matrix6::zeros(), Vector6::zeros());
         for (point, pixel) in self.points_m.iter().zip(self.pixels) {
-            let (jacobian, residual, weight) = self.linearised(pose, middle, point, pixel)?;
+            let (jacobian, residual, weight) = self.linearised(pose, point, pixel)?;
             sums.0 += weight * jacobian.transpose() * jacobian;
             sums.1 += weight * jacobian.transpose() * residual;
         }
         Some(sums)
     }
 
-    fn step(&self, pose: &Pose, middle: &Vector3<f64>) -> Option<Vector6<f64>> {
-        let (hessian, gradient) = self.normal_equations(pose, middle)?;
+    fn step(&self, pose: &Pose) -> Option<Vector6<f64>> {
+        let (hessian, gradient) = self.normal_equations(pose)?;
         let step = -damped(&hessian, DAMPING).cholesky()?.solve(&gradient);
         let length = step.fixed_rows::<3>(0).norm() / self.diameter_m + 0.5 * step.fixed_rows::<3>(3).norm();
         step.iter().all(|v| v.is_finite()).then(|| step * (LONGEST_STEP / length.max(LONGEST_STEP)))
     }
 
     /// Mean distance of the points from where they truly are, metres, and its gradient by the tangent.
-    fn add(&self, pose: &Pose, middle: &Vector3<f64>) -> (f64, Vector6<f64>) {
+    fn add(&self, pose: &Pose) -> (f64, Vector6<f64>) {
         let (mut sum, mut gradient) = (0.0, Vector6::zeros());
         for point in self.points_m {
             let off = pose * point - self.truth * point;
             let Some(towards) = off.try_normalize(1e-9) else { continue };
-            let by_turn = (pose.rotation * (point.coords - middle)).cross(&towards);
+            let by_turn = (pose.rotation * point.coords).cross(&towards);
             sum += off.norm();
             gradient += Vector6::new(towards.x, towards.y, towards.z, by_turn.x, by_turn.y, by_turn.z);
         }

@@ -1,14 +1,14 @@
 //! The refiner's loss on synthetic pairs.
 
 use super::{Refinement, Refiner, RefinerBatch};
-use crate::ExtraLoss;
 use crate::guard::guarded_on;
 use crate::loss::values;
 use crate::model::Trainable;
 use crate::ops;
 use crate::refiner::batch::DeviceRefinerBatch;
 use crate::train::{StepStats, TrainState};
-use burn::tensor::{Device, Tensor, TensorData};
+use crate::{ExtraLoss, ExtraLossAt};
+use burn::tensor::{Device, Tensor};
 use pseudoflow_network::Weights;
 use pseudoflow_network::{RefinerConfig, Result};
 
@@ -44,7 +44,7 @@ impl TrainState<RefinerConfig> {
     /// # Errors
     /// The batch has wrong lengths or values, or loss or gradient are not finite: the weights then stay as they were.
     pub fn train_step(&mut self, batch: &RefinerBatch<'_>) -> Result<StepStats> {
-        self.train_step_with::<fn(&[f32]) -> ExtraLoss>(batch, None)
+        self.train_step_with(batch, None)
     }
 
     /// As [`Self::train_step`], plus a loss that the caller computes from the last flows (n, 2, S, S), px.
@@ -54,35 +54,27 @@ impl TrainState<RefinerConfig> {
     ///
     /// # Panics
     /// When the extra loss's gradient has another length than the flows.
-    pub fn train_step_with<F>(&mut self, batch: &RefinerBatch<'_>, extra: Option<F>) -> Result<StepStats>
-    where
-        F: FnOnce(&[f32]) -> ExtraLoss,
-    {
+    pub fn train_step_with(&mut self, batch: &RefinerBatch<'_>, extra: Option<ExtraLossAt<'_>>) -> Result<StepStats> {
         let device = self.device().autodiff();
         let data = guarded_on(&device, || batch.to_device(self.network.size_px, &device))?;
         let (iterations, gamma) = (self.network.iterations_train, self.config.gamma);
+        let mut extra_value = 0.0;
         let (stats, measured) = self.step_measuring(|refiner| {
             let refinement = refiner.forward(data.reference.clone(), data.real.clone(), iterations);
             let epe = visible_error(&refinement, &data);
-            let loss = refiner_loss(&refinement, &data, gamma);
-            let loss = match extra {
-                Some(extra) => loss + outside_loss(refinement.prediction.narrow(1, 0, 2), extra),
-                None => loss,
+            let own = refiner_loss(&refinement, &data, gamma);
+            let all = match extra {
+                Some(extra) => {
+                    let (value, term) = ExtraLoss::at(refinement.prediction.narrow(1, 0, 2), extra);
+                    extra_value = value;
+                    own.clone() + term
+                }
+                None => own.clone(),
             };
-            (loss, vec![epe])
+            (all, vec![epe, own])
         })?;
-        Ok(StepStats { epe: measured[0], ..stats })
+        Ok(StepStats { epe: measured[0], loss: measured[1] + extra_value, ..stats })
     }
-}
-
-/// A loss from outside as a tensor of shape (1): linear in the flow, with the loss's slope, and equal to it at this flow.
-fn outside_loss(flow: Tensor<4>, extra: impl FnOnce(&[f32]) -> ExtraLoss) -> Tensor<1> {
-    let (shape, device, flow_px) = (flow.dims(), flow.device(), values(flow.clone().detach()));
-    let ExtraLoss { value, gradient } = extra(&flow_px);
-    assert_eq!(gradient.len(), flow_px.len(), "one gradient for each flow value");
-    let product: f64 = flow_px.iter().zip(&gradient).map(|(f, g)| f64::from(*f) * f64::from(*g)).sum();
-    let slope = Tensor::from_data(TensorData::new(gradient, shape), &device);
-    (flow * slope).sum() + (f64::from(value) - product)
 }
 
 /// Mean end point error of the prediction over what is seen, px; a tensor of shape (1).

@@ -112,6 +112,10 @@ pub struct PretrainSummary {
 pub fn pretrain(config: &PretrainConfig, progress: &mut dyn Progress) -> Result<PretrainSummary, PretrainError> {
     config.check()?;
     match config.resolve_network()? {
+        FlowNetwork::Raft(_) if config.pose_weight > 0.0 => Err(PretrainError::Config {
+            field: "pose_weight".to_owned(),
+            wanted: "0 for RAFT: only the refiner learns from poses",
+        }),
         FlowNetwork::Raft(network) => train(config, network, progress),
         FlowNetwork::Refiner(network) => train(config, network, progress),
     }

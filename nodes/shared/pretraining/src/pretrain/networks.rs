@@ -51,8 +51,10 @@ impl PairNetwork for RefinerConfig {
 
     fn train(state: &mut TrainState<Self>, batch: &Batch) -> Result<StepStats, NetworkError> {
         let own_px = std::mem::replace(&mut state.network.size_px, batch.size_px);
-        let extra = batch.pose_loss.as_ref().map(|loss| |flow_px: &[f32]| loss.of(flow_px));
-        let stats = state.train_step_with(&batch.refiner_view(), extra);
+        let stats = match &batch.pose_loss {
+            Some(loss) => state.train_step_with(&batch.refiner_view(), Some(&|flow_px| loss.of(flow_px))),
+            None => state.train_step(&batch.refiner_view()),
+        };
         state.network.size_px = own_px;
         stats
     }

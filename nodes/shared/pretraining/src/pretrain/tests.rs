@@ -124,3 +124,11 @@ fn pairs_are_counted_at_each_size() {
     assert_eq!(schedule.pairs_until(100), counted);
     assert!(counted > 200 && counted < 800, "{counted}");
 }
+
+#[test]
+fn raft_learns_from_no_poses_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = PretrainConfig { pose_weight: 20.0, ..tiny(folder.path()) };
+    let message = pretrain(&config, &mut Silent).unwrap_err().to_string();
+    assert!(message.contains("pose_weight") && message.contains("RAFT"), "{message}");
+}
