@@ -46,7 +46,7 @@ impl Beside<'_> {
         nodes.extend(std::mem::take(&mut graph.nodes).into_iter().filter(kept));
         nodes.insert(STOPWATCH.into(), self.stopwatch(poses, status));
         for spec in nodes.values_mut() {
-            spec.inputs.values_mut().filter(|port| port.node == source).for_each(|port| port.node = PLAYER.into());
+            spec.inputs.values_mut().filter(|port| port.node == source).for_each(from_player);
             if let Some(objects) = spec.config.as_mapping_mut().and_then(|config| config.get_mut("objects")) {
                 *objects = text(self.objects);
             }
@@ -56,11 +56,15 @@ impl Beside<'_> {
         Ok(Graph { mode: Mode::Live, nodes, ..graph })
     }
 
-    /// A player in the source's place; what another player was told about initial poses holds on.
+    /// A player in the source's place; what another player was told about initial poses holds on, and a detector's topic of a
+    /// bridge is where the recording has them.
     fn player(&self, source: &NodeSpec) -> NodeSpec {
         let kept = (source.kind == PLAYER).then(|| source.config.as_mapping().cloned()).flatten();
         let mut config = kept.unwrap_or_default();
         ["also", "sampling", "max_frames"].iter().for_each(|key| drop(config.remove(*key)));
+        if let Some(topic) = source.config.get("camera").and_then(|camera| camera.get("detections")) {
+            config.insert("initial_poses".into(), Value::Mapping(Mapping::from_iter([("topic".into(), topic.clone())])));
+        }
         if self.source.join("scene_camera.json").is_file() {
             config.remove("initial_poses"); // a BOP scene has no topics, and brings its own
         }
@@ -79,6 +83,14 @@ impl Beside<'_> {
         spec.inputs.insert("poses".into(), poses);
         spec.inputs.extend(status.map(|port| ("status".into(), port)));
         spec
+    }
+}
+
+/// What came from the camera comes from the player. A detector's poses, `found` of a bridge, are a recording's initial poses.
+fn from_player(port: &mut PortRef) {
+    port.node = PLAYER.into();
+    if port.port == "found" {
+        port.port = "initial_poses".into();
     }
 }
 
@@ -134,6 +146,14 @@ mod tests {
         assert_eq!(graph.nodes["player"].config["hz"], Value::from(15.0));
         let feedback: Vec<String> = graph.feedback.iter().map(ToString::to_string).collect();
         assert_eq!(feedback, ["initializer/initial_poses", "initializer/status", "pnp/poses"]);
+    }
+
+    #[test]
+    fn a_detectors_poses_come_from_its_recorded_topic() {
+        let graph = beside("live.yaml");
+        check(&graph, &crate::registry()).unwrap();
+        assert_eq!(graph.nodes["tracker"].inputs["found"].to_string(), "player/initial_poses");
+        assert_eq!(graph.nodes["player"].config["initial_poses"]["topic"], Value::from("/detections"));
     }
 
     #[test]
