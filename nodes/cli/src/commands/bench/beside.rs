@@ -63,7 +63,8 @@ impl Beside<'_> {
         let mut config = kept.unwrap_or_default();
         ["also", "sampling", "max_frames"].iter().for_each(|key| drop(config.remove(*key)));
         if let Some(topic) = source.config.get("camera").and_then(|camera| camera.get("detections")) {
-            config.insert("initial_poses".into(), Value::Mapping(Mapping::from_iter([("topic".into(), topic.clone())])));
+            config
+                .insert("initial_poses".into(), Value::Mapping(Mapping::from_iter([("topic".into(), topic.clone())])));
         }
         if self.source.join("scene_camera.json").is_file() {
             config.remove("initial_poses"); // a BOP scene has no topics, and brings its own
