@@ -155,13 +155,16 @@ def adaptation(run):
         out = run.out / f"room_{data}.safetensors"
         bags = [run.data / data / "train" / scene for scene in scenes]
         options = ["--weights", raft, "--steps", "80", "--batch", "4", "--partners", "0", "--photo-weight", "0", "--seed", "1"]
-        verdict = out.with_suffix(".adapt") / "verdict.json"
+        training = out.with_suffix(".adapt")
+        verdict = training / "verdict.json"
+        options += ["--resume"] if (training / "checkpoint.safetensors").exists() else []
         run.once(verdict, "pseudoflow", "adapt", "--bag", *bags, "--objects", run.data / data / "models", *options, "--out", out)
         verdict = json.loads(verdict.read_text())
         low, high = verdict["interval"]
         said = f"{verdict['before']:.3f} -> {verdict['after']:.3f} (gain {low:+.3f} .. {high:+.3f})"
         for size in ("128", "256"):
             before = evaluated(run, f"raft{size}", data, "--weights", raft, "--size", size)
-            after = evaluated(run, f"room{size}", data, "--weights", out, "--size", size)
+            # What the training made, whether or not the verdict took it.
+            after = evaluated(run, f"room{size}", data, "--weights", training / "teacher.safetensors", "--size", size)
             text += row(SETS[data], f"{size} px", recall(before), recall(after), said)
     return text
