@@ -3,23 +3,22 @@
 import json
 import re
 import subprocess
-from pathlib import Path
 
 from refinement import REFINER, head, row
 
-ROOT = Path(__file__).resolve().parents[2]
 # For frames a third of a second apart; chosen on tabletop's train split.
 SPARSE = '{"budget_ms":150,"look_ms":30,"looks_at_once":5,"look_every_s":0.3,"look_again_s":0.1,"doubtful_looks":100}'
 
 
 def tracking(run):
     """The tracker alone, from the rough poses of the first frame."""
+    sparse = lambda hz: ["--looks", REFINER, "--hz", hz, "--delay", "1", "--config", SPARSE]
     rows = {
         "dense": ("dense test sequence, 30 Hz, five objects", "dense/test/000001", "tabletop/models", ["--looks", REFINER]),
         "dense_alone": ("the same without any look of the network", "dense/test/000001", "tabletop/models", []),
-        "tabletop_1": ("tabletop test/000001, 3 Hz", "tabletop/test/000001", "tabletop/models", ["--looks", REFINER, "--hz", "3", "--delay", "1", "--config", SPARSE]),
-        "tabletop_2": ("tabletop test/000002, 3 Hz", "tabletop/test/000002", "tabletop/models", ["--looks", REFINER, "--hz", "3", "--delay", "1", "--config", SPARSE]),
-        "cube": ("cube test/000001, every third frame of a video, 10 Hz", "cube/test/000001", "cube/models", ["--looks", REFINER, "--hz", "10", "--delay", "1", "--config", SPARSE]),
+        "tabletop_1": ("tabletop test/000001, 3 Hz", "tabletop/test/000001", "tabletop/models", sparse("3")),
+        "tabletop_2": ("tabletop test/000002, 3 Hz", "tabletop/test/000002", "tabletop/models", sparse("3")),
+        "cube": ("cube test/000001, every third frame of a video, 10 Hz", "cube/test/000001", "cube/models", sparse("10")),
     }
     text = "# Tracking, frame by frame\n\nThe tracker without search and middleware, from the rough poses of the first frame; ADD(-S).\n\n"
     text += head("", "instances", "0.1 d", "60 % visible, 0.1 d", "0.05 d", "CPU-ms a frame: tracker", "looks")

@@ -1,13 +1,15 @@
 """Measures the tables of docs/results and writes them there, each with its commands, commit, engine and machine:
 
-    tests/results/tables.py [--data ../shared/data] [--out out/results] [TABLE ...]
+    python3 tests/results/tables.py [--data ../shared/data] [--out out/results] [TABLE ...]
 
-TABLE is one of those below (default: all; two hours on two cores). What is in --out from an earlier run of the same commit is not
-measured again, so a run that was interrupted goes on. Needs a release build and BOP folders as ../shared/data/README.md describes
-them; ONNX Runtime where ORT_DYLIB_PATH names it, else the engine inside the binary.
+TABLE is one of those below (default: all; three hours on two cores). Builds what it runs. What is in --out from an earlier run of the
+same code, settings and engine is not measured again, so a run that was interrupted goes on. Needs BOP folders as
+../shared/data/README.md describes them, tests/requirements.txt for `finding` and ffmpeg for `camera_rate`; ONNX Runtime where
+ORT_DYLIB_PATH names it, else the engine inside the binary. Nothing else should run beside it: the pages hold times.
 """
 
 import argparse
+import hashlib
 import os
 import shlex
 import subprocess
@@ -17,8 +19,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 import rates  # noqa: E402
 import refinement  # noqa: E402
+from refinement import ROOT  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[2]
+# What a result depends on.
+SOURCES = ["nodes", "msgs", "config", "bags", "Cargo.toml", "Cargo.lock"]
+ENGINE = "ONNX Runtime" if os.environ.get("ORT_DYLIB_PATH") else "the engine inside the binary"
 TABLES = {
     "refinement": refinement.refinement,
     "true_start": refinement.true_start,
@@ -58,6 +63,7 @@ class Run:
             print(self.commands[-1], flush=True)
             with log.open("w") as file:
                 code = subprocess.run([self.programs[program], *words], cwd=ROOT, stdout=file, stderr=subprocess.STDOUT).returncode
+            # 3: `adapt` says that what it trained is not better.
             if code not in (0, 3) or not made.exists():
                 raise SystemExit(f"exit code {code}: {self.commands[-1]}\n{log} says why")
         return made
@@ -71,11 +77,10 @@ class Run:
 
 
 def page(name, run, body):
-    engine = "ONNX Runtime" if os.environ.get("ORT_DYLIB_PATH") else "the engine inside the binary"
     commands = "\n".join(dict.fromkeys(run.commands))
     text = (
         f"<!-- Written by tests/results/tables.py {name}: do not edit. -->\n{body}\n"
-        f"Commit {output('git', 'rev-parse', '--short', 'HEAD')}, {machine()}, {engine}, one run unless it says otherwise.\n\n"
+        f"Commit {output('git', 'rev-parse', '--short', 'HEAD')}, {machine()}, {ENGINE}, one run unless it says otherwise.\n\n"
         f"<!-- parsed: data that is not in this repository, and hours -->\n```sh\n{commands}\n```\n"
     )
     path = ROOT / "docs/results" / f"{name}.md"
@@ -91,9 +96,11 @@ def main():
     arguments = parser.parse_args()
     if unknown := set(arguments.tables) - set(TABLES):
         parser.error(f"no table {', '.join(sorted(unknown))}: there are {', '.join(TABLES)}")
-    if output("git", "status", "--porcelain", "nodes", "config", "bags"):
-        parser.error("nodes, config or bags have changes that are not committed: a table names the commit that it is of")
-    arguments.out = arguments.out / output("git", "rev-parse", "--short", "HEAD:nodes")
+    if changed := output("git", "status", "--porcelain", *SOURCES):
+        parser.error(f"a table names the commit that it is of, and this is not committed:\n{changed}")
+    subprocess.run(["cargo", "build", "--release", "--workspace", "--bins", "--example", "track_sequence"], cwd=ROOT, check=True)
+    measured = output("git", "ls-tree", "HEAD", *SOURCES) + ENGINE
+    arguments.out = arguments.out / hashlib.sha256(measured.encode()).hexdigest()[:10]
     for name in arguments.tables or TABLES:
         run = Run(arguments)
         page(name, run, TABLES[name](run))
