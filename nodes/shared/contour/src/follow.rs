@@ -3,7 +3,6 @@
 use crate::RegionStatus;
 use crate::histogram::Colours;
 use crate::refine::{Refiner, Region, Task, Term};
-use nalgebra::{Matrix6, Vector6};
 use pseudoflow_geometry::Pose;
 
 impl Refiner {
@@ -15,46 +14,30 @@ impl Refiner {
         colours: &mut Colours,
         mut term: Option<&mut dyn Term>,
     ) -> Region {
+        // Those of an earlier frame are no longer to be learnt.
+        colours.0.counted_at = None;
         self.with(colours, |this| match this.open(task) {
             RegionStatus::Ok => this.descend(task, start, &mut term),
             unseen => this.without_contour(task, start, unseen, &mut term),
         })
     }
 
-    /// What the contour says of a pose as it is, in the picture that the last call of [`Refiner::follow`] opened.
-    pub fn weigh(
-        &mut self,
-        task: &Task<'_>,
-        pose: &Pose,
-        colours: &mut Colours,
-        mut term: Option<&mut dyn Term>,
-    ) -> Region {
-        self.with(colours, |this| match this.begin(task.model, pose) {
-            RegionStatus::Ok => {
-                let mut information = Matrix6::zeros();
-                task.prior.accumulate(pose, &mut information, &mut Vector6::zeros());
-                this.judge(task, pose, information, pose, &mut term)
-            }
-            unseen => this.without_contour(task, pose, unseen, &mut None),
-        })
-    }
-
-    /// Counts the colours at a pose in the picture that was opened last: `renewal` of the new and the rest of the old (all of the
-    /// new at first). False, and the old ones stay, when too little is seen of one side, or both have the same colours.
+    /// Counts the colours at a pose in the task's picture: `renewal` of the new and the rest of the old (all of the new at first).
+    /// False, and the old ones stay, when too little is seen of one side. What [`Refiner::follow`] has just found costs nothing: its
+    /// colours were counted then.
     pub fn learn(&mut self, task: &Task<'_>, pose: &Pose, colours: &mut Colours, renewal: f32) -> bool {
-        self.with(colours, |this| {
-            this.place_lines(task.model, pose);
-            if this.used() < this.config.min_lines {
-                return false;
-            }
-            this.count_colours();
-            this.histograms.renew(renewal)
-        })
+        self.with(colours, |this| this.has_counted(task, pose) && this.histograms.renew(renewal))
     }
 
-    /// Opens the picture around the task's prior, for [`Refiner::learn`] and [`Refiner::weigh`].
-    pub fn look_at(&mut self, task: &Task<'_>) -> RegionStatus {
-        self.open(task)
+    fn has_counted(&mut self, task: &Task<'_>, pose: &Pose) -> bool {
+        if self.histograms.counted_at == Some(*pose) {
+            return true;
+        }
+        if !self.open(task).is_ok() {
+            return false;
+        }
+        self.place_lines(task.model, pose);
+        self.count_colours_for(pose)
     }
 
     fn with<T>(&mut self, colours: &mut Colours, work: impl FnOnce(&mut Self) -> T) -> T {

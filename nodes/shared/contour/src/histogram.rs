@@ -1,5 +1,7 @@
 //! Colour histograms of both sides of the contour (16 bins a channel) and what they say about a pixel.
 
+use pseudoflow_geometry::Pose;
+
 /// Bins of a channel, as a power of two.
 const BITS: usize = 4;
 /// Bins in all.
@@ -8,9 +10,9 @@ const BINS: usize = 1 << (3 * BITS);
 pub(crate) const NOWHERE: u16 = BINS as u16;
 
 /// The bin of a colour.
-pub(crate) fn bin_of(rgb: [u8; 3]) -> u16 {
-    let [r, g, b] = rgb.map(|c| u16::from(c) >> (8 - BITS));
-    (r << (2 * BITS)) | (g << BITS) | b
+pub(crate) fn bin_of([r, g, b]: [u8; 3]) -> u16 {
+    let part = |c: u8| u16::from(c) >> (8 - BITS);
+    (part(r) << (2 * BITS)) | (part(g) << BITS) | part(b)
 }
 
 /// How often each colour was seen inside and outside of the contour; each sums to one.
@@ -23,6 +25,8 @@ pub(crate) struct Histograms {
     /// ln (inside / outside) of each bin, and 0 for [`NOWHERE`].
     log_odds: Vec<f32>,
     empty: bool,
+    /// The pose at which the fresh colours were counted, until they are taken over or counted anew.
+    pub(crate) counted_at: Option<Pose>,
 }
 
 /// Colours of an object and of what is around it, kept from frame to frame.
@@ -56,6 +60,7 @@ impl Histograms {
             fresh_outside: zero(),
             log_odds: vec![0.0; BINS + 1],
             empty: true,
+            counted_at: None,
         }
     }
 
@@ -67,6 +72,7 @@ impl Histograms {
     pub(crate) fn begin(&mut self) {
         self.fresh_inside.fill(0.0);
         self.fresh_outside.fill(0.0);
+        self.counted_at = None;
     }
 
     pub(crate) fn count_inside(&mut self, bin: u16) {
@@ -84,6 +90,7 @@ impl Histograms {
     /// Takes over what was counted: `renewal` of the new and the rest of the old. False when one side has no pixel.
     pub(crate) fn renew(&mut self, renewal: f32) -> bool {
         let renewal = if self.empty { 1.0 } else { renewal };
+        self.counted_at = None;
         let blend = |old: &mut [f32], fresh: &[f32]| {
             let total: f32 = fresh.iter().sum();
             if total < 16.0 {

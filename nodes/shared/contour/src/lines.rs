@@ -11,16 +11,11 @@ pub(crate) const OFFSETS: usize = 12;
 /// Segments that take part in the likelihood of one place.
 const STEP: usize = 8;
 
-/// The smoothed step: probability that a pixel `x` segments outside of the contour has a colour of the inside.
+/// The smoothed step: a pixel inside of the contour has a colour of the inside with probability `1/2 + amplitude`, one outside of it
+/// with `1/2 - amplitude`. SRT3D's global and local uncertainty (arXiv 2110.12715, eq. 9) without the slope, which did worse.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct SmoothStep([f32; STEP]);
-
-impl SmoothStep {
-    /// A sharp step between `1/2 + amplitude` inside and `1/2 - amplitude` outside: SRT3D's global and local uncertainty
-    /// (arXiv 2110.12715, eq. 9) without the slope, which did worse.
-    pub(crate) fn new(amplitude: f32) -> Self {
-        Self(std::array::from_fn(|i| 0.5 - amplitude * (i as f32 - 3.5).signum()))
-    }
+pub(crate) struct SmoothStep {
+    pub(crate) amplitude: f32,
 }
 
 /// A contour point as a pose shows it.
@@ -122,21 +117,39 @@ pub(crate) fn project(
     lines.extend(points.iter().filter_map(|p| view.line(p)).filter(within));
 }
 
-/// Bilinear sample of a plane; 0 outside.
-pub(crate) fn sample(plane: &[f32], size_px: usize, x: f32, y: f32) -> f32 {
+/// Whether a place has pixels on all sides.
+#[inline]
+fn is_within([x, y]: [f32; 2], size_px: usize) -> bool {
     let limit = size_px as f32 - 1.001;
-    if !(x >= 0.0 && y >= 0.0 && x < limit && y < limit) {
-        return 0.0;
-    }
-    let (x0, y0) = (x as usize, y as usize);
-    let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-    let i = y0 * size_px + x0;
-    let (top, bottom) = (plane[i] + fx * (plane[i + 1] - plane[i]), {
-        let j = i + size_px;
-        plane[j] + fx * (plane[j + 1] - plane[j])
-    });
+    x >= 0.0 && y >= 0.0 && x < limit && y < limit
+}
+
+/// Bilinear sample of a plane; 0 outside.
+#[inline]
+pub(crate) fn sample(plane: &[f32], size_px: usize, at: [f32; 2]) -> f32 {
+    if is_within(at, size_px) { interpolate(plane, size_px, at) } else { 0.0 }
+}
+
+/// Bilinear sample at a place that has pixels on all sides.
+#[inline]
+fn interpolate(plane: &[f32], size_px: usize, [x, y]: [f32; 2]) -> f32 {
+    let ((x0, fx), (y0, fy)) = (split(x), split(y));
+    // One check of bounds for all four.
+    let around = &plane[y0 * size_px + x0..][..size_px + 2];
+    let top = around[0] + fx * (around[1] - around[0]);
+    let bottom = around[size_px] + fx * (around[size_px + 1] - around[size_px]);
     top + fy * (bottom - top)
 }
+
+/// Whole number and rest, 0..=1, of a small positive number; conversions to integers would take longer.
+#[inline]
+fn split(v: f32) -> (usize, f32) {
+    let shifted = (v - 0.5).max(0.0) + WHOLE;
+    ((shifted.to_bits() & 0xffff) as usize, v - (shifted - WHOLE))
+}
+
+/// Added to a small number, leaves the nearest whole one in the lowest bits.
+const WHOLE: f32 = 12_582_912.0;
 
 /// How lines are read.
 #[derive(Debug, Clone, Copy)]
@@ -159,7 +172,7 @@ pub(crate) fn measure(lines: &mut [Line], log_odds: &[f32], size_px: usize, read
             continue;
         }
         let inside = segments(line, log_odds, size_px, reading);
-        let likelihood = likelihoods(&inside, &reading.step);
+        let likelihood = likelihoods(&inside, reading.step);
         describe(line, &likelihood, reading.scale_px);
     }
 }
@@ -171,24 +184,45 @@ fn segments(line: &Line, log_odds: &[f32], size_px: usize, reading: &Reading) ->
     // A sample stands for `step_px` pixels.
     let weight = step_px * reading.evidence;
     let first = -0.5 * SEGMENTS as f32 * reading.scale_px + 0.5 * step_px;
-    let mut out = [0.0; SEGMENTS];
-    for (k, segment) in out.iter_mut().enumerate() {
-        let mut sum = 0.0;
-        for s in 0..samples {
-            let r = first + (k * samples + s) as f32 * step_px;
-            sum += sample(log_odds, size_px, line.at[0] + r * line.normal[0], line.at[1] + r * line.normal[1]);
-        }
-        *segment = 1.0 / (1.0 + (-weight * sum).exp());
+    let last = first + (SEGMENTS * samples - 1) as f32 * step_px;
+    let within = [first, last].iter().all(|r| is_within(on_line(line, *r), size_px));
+    let mut odds = [0.0; SEGMENTS];
+    for (k, odds) in odds.iter_mut().enumerate() {
+        let at = |s: usize| on_line(line, first + (k * samples + s) as i32 as f32 * step_px);
+        let sum: f32 = match within {
+            true => (0..samples).map(|s| interpolate(log_odds, size_px, at(s))).sum(),
+            false => (0..samples).map(|s| sample(log_odds, size_px, at(s))).sum(),
+        };
+        *odds = weight * sum;
     }
-    out
+    probabilities(odds)
 }
 
-/// How well each place of the contour explains the segments (SRT3D, eq. 8).
-fn likelihoods(inside: &[f32; SEGMENTS], step: &SmoothStep) -> [f32; OFFSETS] {
-    std::array::from_fn(|j| {
-        let window = &inside[j..j + STEP];
-        window.iter().zip(&step.0).map(|(p, h)| p * h + (1.0 - p) * (1.0 - h)).product()
+/// The place `r` pixels out from a line's point.
+#[inline]
+fn on_line(line: &Line, r: f32) -> [f32; 2] {
+    [line.at[0] + r * line.normal[0], line.at[1] + r * line.normal[1]]
+}
+
+/// Logistic function, to 1e-4, in a way that compilers vectorise: `exp` by its power of two and a polynomial of the rest.
+fn probabilities(log_odds: [f32; SEGMENTS]) -> [f32; SEGMENTS] {
+    log_odds.map(|v| {
+        let power = v.clamp(-40.0, 40.0) * -std::f32::consts::LOG2_E;
+        let shifted = power + WHOLE;
+        let rest = power - (shifted - WHOLE);
+        let two_to_rest = 1.0 + rest * (0.693_147 + rest * (0.240_226 + rest * (0.055_504 + rest * 0.009_618)));
+        let two_to_whole = f32::from_bits((shifted.to_bits() << 23).wrapping_add(1_f32.to_bits()));
+        1.0 / (1.0 + two_to_rest * two_to_whole)
     })
+}
+
+/// How well each place of the contour explains the segments (SRT3D, eq. 8): of the [`STEP`] segments around a place, the first half
+/// lies inside.
+fn likelihoods(inside: &[f32; SEGMENTS], step: SmoothStep) -> [f32; OFFSETS] {
+    let within = inside.map(|p| 0.5 + step.amplitude * (2.0 * p - 1.0));
+    let beyond = within.map(|p| 1.0 - p);
+    let of_four = |v: &[f32; SEGMENTS], i: usize| (v[i] * v[i + 1]) * (v[i + 2] * v[i + 3]);
+    std::array::from_fn(|j| of_four(&within, j) * of_four(&beyond, j + STEP / 2))
 }
 
 /// Mean and variance of the places, in pixels.
@@ -217,16 +251,17 @@ pub(crate) fn measure_edges(lines: &mut [Line], picture: &Picture, noise: f32) {
             line.weight = 0.0;
             continue;
         }
-        let end = |sign: f32| [0, 1].map(|a| line.at[a] + sign * reach * line.normal[a]);
-        if !(picture.shows(end(1.0)) && picture.shows(end(-1.0))) {
+        if !(picture.shows(on_line(line, reach)) && picture.shows(on_line(line, -reach))) {
             line.weight = 0.0;
             continue;
         }
         let mut colours = [[0.0_f32; 3]; 2 * HALF as usize + 1];
         for (i, colour) in colours.iter_mut().enumerate() {
             let r = (i as i32 - HALF) as f32 * h;
-            let (x, y) = (line.at[0] + r * line.normal[0], line.at[1] + r * line.normal[1]);
-            *colour = [0, 1, 2].map(|c| sample(&picture.channels[c], picture.size_px, x, y));
+            let at = on_line(line, r);
+            for (value, plane) in colour.iter_mut().zip(&picture.channels) {
+                *value = sample(plane, picture.size_px, at);
+            }
         }
         let far = (HALF - BLURRED) as usize;
         let mean = |part: &[[f32; 3]]| -> [f32; 3] {
@@ -305,7 +340,7 @@ mod tests {
         for scale_px in [1.0_f32, 2.0, 5.0] {
             for off in [-2.0, 0.0, 1.5_f32] {
                 let mut lines = [line_at(64.0 - off * scale_px)];
-                let step = SmoothStep::new(0.36);
+                let step = SmoothStep { amplitude: 0.36 };
                 let reading = Reading { scale_px, step, shortest: 3.0, evidence: 1.0 };
                 measure(&mut lines, &odds, picture.size_px, &reading);
                 assert!(
@@ -316,7 +351,7 @@ mod tests {
             }
         }
         let mut thin = [Line { inside_px: 5.0, ..line_at(64.0) }];
-        let reading = Reading { scale_px: 2.0, step: SmoothStep::new(0.36), shortest: 3.0, evidence: 1.0 };
+        let reading = Reading { scale_px: 2.0, step: SmoothStep { amplitude: 0.36 }, shortest: 3.0, evidence: 1.0 };
         measure(&mut thin, &odds, picture.size_px, &reading);
         assert_eq!(thin[0].weight, 0.0);
     }

@@ -56,17 +56,23 @@ impl Picture {
         }
         let resampled = resample(image.rgb, &crop);
         self.size_px = size_px as usize;
-        self.bins.clear();
-        self.bins.extend(resampled.as_raw().as_chunks::<3>().0.iter().map(|rgb| bin_of(*rgb)));
-        for (c, plane) in self.channels.iter_mut().enumerate() {
-            plane.clear();
-            plane.extend(resampled.as_raw().iter().skip(c).step_by(3).map(|v| f32::from(*v)));
-        }
+        self.take(&resampled);
         self.blank_outside(&crop, width, height);
         let k = crop.intrinsics(&image.intrinsics);
         (self.focal, self.centre) = ([k.fx as f32, k.fy as f32], [k.cx as f32, k.cy as f32]);
         self.independence = (1.0 / crop.scale()).min(1.0) as f32;
         Some(())
+    }
+
+    /// Colours and their bins.
+    fn take(&mut self, resampled: &RgbImage) {
+        let pixels = resampled.as_raw().as_chunks::<3>().0;
+        self.bins.clear();
+        self.bins.extend(pixels.iter().map(|rgb| bin_of(*rgb)));
+        for (c, plane) in self.channels.iter_mut().enumerate() {
+            plane.clear();
+            plane.extend(pixels.iter().map(|rgb| f32::from(rgb[c])));
+        }
     }
 
     /// Whether a place lies in the image.
@@ -88,6 +94,9 @@ impl Picture {
         let limit = self.size_px as f64 - 1.0;
         self.low = [low.x.max(0.0) as f32, low.y.max(0.0) as f32];
         self.high = [high.x.min(limit) as f32, high.y.min(limit) as f32];
+        if self.low == [0.0; 2] && self.high == [limit as f32; 2] {
+            return;
+        }
         for y in 0..self.size_px {
             for x in 0..self.size_px {
                 if !self.shows([x as f32, y as f32]) {

@@ -214,9 +214,14 @@ impl Refiner {
             self.histograms.renew(self.config.renewal);
             self.histograms.log_odds(&self.picture.bins, &mut self.log_odds);
         }
+        self.read(scale_px);
+    }
+
+    /// Finds the contour on the lines that are placed.
+    fn read(&mut self, scale_px: f32) {
         let reading = Reading {
             scale_px,
-            step: SmoothStep::new(self.config.amplitude),
+            step: SmoothStep { amplitude: self.config.amplitude },
             shortest: self.config.shortest,
             evidence: self.picture.independence,
         };
@@ -251,7 +256,13 @@ impl Refiner {
         term: &mut Option<&mut dyn Term>,
     ) -> Region {
         let last = self.config.scales_px.last().copied().unwrap_or(1.0);
-        self.look(task.model, pose, last as f32);
+        if self.kept {
+            self.place_lines(task.model, pose);
+            self.count_colours_for(pose);
+            self.read(last as f32);
+        } else {
+            self.look(task.model, pose, last as f32);
+        }
         let (used, overlap) = (self.used(), self.histograms.overlap());
         let status = match used < self.config.min_lines {
             true => RegionStatus::NoContour { lines: used },
@@ -296,6 +307,16 @@ impl Refiner {
         }
         let cost = task.prior.cost(&pose) + term.as_mut().map_or(0.0, |t| t.cost(&pose));
         Region { camera_from_object: pose, information, cost, agreement: 0.0, overlap: 1.0, lines: 0, status }
+    }
+
+    /// Counts the colours of the lines that are placed, for [`Refiner::learn`]. False when too little of the contour is seen.
+    pub(crate) fn count_colours_for(&mut self, pose: &Pose) -> bool {
+        let enough = self.used() >= self.config.min_lines;
+        if enough {
+            self.count_colours();
+            self.histograms.counted_at = Some(*pose);
+        }
+        enough
     }
 
     pub(crate) fn count_colours(&mut self) {

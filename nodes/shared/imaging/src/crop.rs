@@ -13,7 +13,7 @@ pub fn resample(image: &RgbImage, crop: &Crop) -> RgbImage {
 ///
 /// When enlarging, bilinear interpolation. When shrinking by f, a tent of half-width f image pixels around the
 /// sampled point, normalised to sum 1: bilinear interpolation prefiltered to the crop's resolution. The map has no
-/// rotation, so the filter is separable: columns first, then rows.
+/// rotation, so the filter is separable: rows first, then columns.
 #[must_use]
 pub fn resample_with_border(image: &RgbImage, crop: &Crop, border: [u8; 3]) -> RgbImage {
     let size = crop.size_px as usize;
@@ -23,46 +23,69 @@ pub fn resample_with_border(image: &RgbImage, crop: &Crop, border: [u8; 3]) -> R
         (0..size).map(|i| Taps::tent(place(i), support, length as usize)).collect()
     };
     let (columns, rows) = (along(0, image.width()), along(1, image.height()));
-    let first = rows.iter().filter(|t| !t.weights.is_empty()).map(|t| t.first).min().unwrap_or(0);
-    let last = rows.iter().map(|t| t.first + t.weights.len()).max().unwrap_or(0);
+    let first = columns.iter().filter(|t| t.count > 0).map(|t| t.first).min().unwrap_or(0);
+    let last = columns.iter().map(|t| t.first + t.count).max().unwrap_or(0).max(first);
     let border = border.map(f32::from);
-    let strip = shrink_columns(image, &columns, first..last.max(first), border);
+    // The colours of a row of the image, and as much more as may be read beyond its end.
+    let own = 3 * (last - first);
+    let mut line = vec![0.0_f32; own + 3 * UNROLLED];
+    let mut sums = vec![[0.0_f32; 4]; size];
     let mut out = Vec::with_capacity(size * size * 3);
-    let mut line = vec![0.0_f32; size * 3];
     for taps in &rows {
-        for x in 0..size {
-            (0..3).for_each(|k| line[3 * x + k] = taps.outside * border[k]);
-        }
-        for (i, weight) in taps.weights.iter().enumerate() {
-            let row = &strip[(taps.first + i - first) * size * 3..][..size * 3];
-            line.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
-        }
-        out.extend(line.iter().map(|v| (v + 0.5) as u8));
+        sum_rows(image, taps, first..last, border, &mut line[..own]);
+        sum_columns(&line, first, &columns, border, &mut sums);
+        out.extend(sums.iter().flat_map(|[r, g, b, _]| [nearest(*r), nearest(*g), nearest(*b)]));
     }
     RgbImage::from_raw(crop.size_px, crop.size_px, out).unwrap_or_default()
 }
 
-/// The rows `range` of the image, each resampled to the crop's columns; `range x size x 3`.
-fn shrink_columns(image: &RgbImage, columns: &[Taps], range: std::ops::Range<usize>, border: [f32; 3]) -> Vec<f32> {
+/// The weighed sum of image rows, of the pixels `range`.
+fn sum_rows(image: &RgbImage, taps: &Taps, range: std::ops::Range<usize>, border: [f32; 3], line: &mut [f32]) {
     let width = image.width() as usize;
-    let mut strip = Vec::with_capacity(range.len() * columns.len() * 3);
-    for y in range {
-        let row = &image.as_raw()[y * width * 3..][..width * 3];
-        for taps in columns {
-            let mut sum = border.map(|b| b * taps.outside);
-            let pixels = row[3 * taps.first.min(width)..].as_chunks::<3>().0;
-            for (weight, pixel) in taps.weights.iter().zip(pixels) {
-                (0..3).for_each(|k| sum[k] += weight * f32::from(pixel[k]));
+    line.as_chunks_mut::<3>().0.fill(border.map(|b| b * taps.outside));
+    for (y, weight) in (taps.first..).zip(&taps.weights[..taps.count]) {
+        let row = &image.as_raw()[3 * (y * width + range.start)..3 * (y * width + range.end)];
+        line.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * f32::from(*value));
+    }
+}
+
+/// The weighed sums of a row's pixels, of which the first in `line` is `first`. Four numbers go at once, as registers hold them: the
+/// last is the next pixel's, and means nothing.
+fn sum_columns(line: &[f32], first: usize, columns: &[Taps], border: [f32; 3], sums: &mut [[f32; 4]]) {
+    let [r, g, b] = border;
+    for (sum, taps) in sums.iter_mut().zip(columns) {
+        *sum = [taps.outside * r, taps.outside * g, taps.outside * b, 0.0];
+        if taps.count == 0 {
+            continue;
+        }
+        let mut pixels = &line[3 * (taps.first - first)..];
+        for weights in taps.weights.as_chunks::<UNROLLED>().0 {
+            let (own, rest) = pixels.split_at(3 * UNROLLED);
+            for i in 0..UNROLLED {
+                // The fourth number of the last pixel lies in what comes after.
+                let fourth = if i + 1 < UNROLLED { own[3 * i + 3] } else { 0.0 };
+                let pixel = [own[3 * i], own[3 * i + 1], own[3 * i + 2], fourth];
+                (0..4).for_each(|k| sum[k] += weights[i] * pixel[k]);
             }
-            strip.extend(sum);
+            pixels = rest;
         }
     }
-    strip
 }
+
+/// The nearest whole number of one in 0..255: added to this, it is in the lowest bits.
+#[inline]
+fn nearest(value: f32) -> u8 {
+    (value + 12_582_912.0).to_bits() as u8
+}
+
+/// Pixels that are summed at a time along a row.
+const UNROLLED: usize = 4;
 
 /// The weights of the image pixels `first..` for one crop pixel along one axis, and the weight that falls outside.
 struct Taps {
     first: usize,
+    count: usize,
+    /// One for each of the pixels, then zeros up to a multiple of [`UNROLLED`].
     weights: Vec<f32>,
     outside: f32,
 }
@@ -74,11 +97,13 @@ impl Taps {
         let total: f64 = (low..=high).map(weight).sum();
         let inside = low.max(0)..(high + 1).min(length as i64);
         let first = inside.clone().find(|&i| weight(i) > 0.0).unwrap_or(0);
-        let weights: Vec<f32> =
+        let mut weights: Vec<f32> =
             inside.filter(|&i| i >= first).map(|i| (weight(i) / total) as f32).filter(|w| *w > 0.0).collect();
         let outside = 1.0 - weights.iter().sum::<f32>();
         let outside = if outside < 1e-5 { 0.0 } else { outside };
-        Self { first: first as usize, weights, outside }
+        let count = weights.len();
+        weights.resize(count.next_multiple_of(UNROLLED), 0.0);
+        Self { first: first as usize, count, weights, outside }
     }
 }
 

@@ -72,8 +72,13 @@ impl Mesh {
     /// The lowest and highest corner of the axis-aligned bounding box, metres.
     #[must_use]
     pub fn bounds_m(&self) -> (Point3<f64>, Point3<f64>) {
-        let start = (Point3::from([f64::MAX; 3]), Point3::from([f64::MIN; 3]));
-        self.points().iter().fold(start, |(low, high), p| (low.inf(p), high.sup(p)))
+        let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
+        for v in &self.vertices_m {
+            for k in 0..3 {
+                (low[k], high[k]) = (low[k].min(v[k]), high[k].max(v[k]));
+            }
+        }
+        (low.map(f64::from).into(), high.map(f64::from).into())
     }
 
     /// A subset of the vertices that bounds the projection from every side: the extreme vertex in each of 1024

@@ -116,9 +116,7 @@ impl Measurer {
     pub(crate) fn learn(&mut self, subject: &Subject<'_>, pose: &Pose, colours: &mut Colours, renewal: f32) {
         let prior = self.prior(subject, pose);
         let task = subject.task(&prior);
-        if self.near.look_at(&task).is_ok() {
-            self.near.learn(&task, pose, colours, renewal);
-        }
+        self.near.learn(&task, pose, colours, renewal);
     }
 
     /// The prior of a prediction: its spread grows with the root of the time since the last frame.

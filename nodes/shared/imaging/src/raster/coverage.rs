@@ -7,6 +7,7 @@ use super::NEAR_M;
 use super::hit::{Hit, surface};
 use super::software::{Item, MAX_ITEMS, Scene};
 use super::surface::Surface;
+use nalgebra::Point3;
 use pseudoflow_geometry::Intrinsics;
 
 /// Which triangle of which item is nearest at each sample. Its buffers are used again from one scene to the next.
@@ -52,6 +53,10 @@ impl Scratch {
         owner.resize(samples, 0);
         for (index, item) in scene.items.iter().take(MAX_ITEMS).enumerate() {
             let first = vertices.len();
+            if is_beside(item, scene) {
+                frames.push((first, [[0.0; 3]; 3]));
+                continue;
+            }
             frames.push((first, transform(item, &scene.intrinsics, vertices)));
             let mut target = Target {
                 inverse_depth,
@@ -64,7 +69,8 @@ impl Scratch {
             };
             let vertices = &vertices[first..];
             for (number, corners) in item.mesh.triangles.iter().enumerate() {
-                let corners = corners.map(|i| vertices[i as usize]);
+                let [a, b, c] = *corners;
+                let corners = [vertices[a as usize], vertices[b as usize], vertices[c as usize]];
                 if corners.iter().all(|v| v.inverse_depth > 0.0) {
                     target.draw(&corners, number as u32);
                 } else if corners.iter().any(|v| v.inverse_depth > 0.0) {
@@ -110,20 +116,34 @@ impl Scratch {
     }
 }
 
+/// Whether all of an item lies before the camera and beyond one side of the samples, as its bounding box does.
+fn is_beside(item: &Item<'_>, scene: &Scene<'_>) -> bool {
+    let (low, high) = item.mesh.bounds_m();
+    let corner = |i: usize| Point3::from([0, 1, 2].map(|k| if i >> k & 1 == 1 { high[k] } else { low[k] }));
+    let corners: [Point3<f64>; 8] = std::array::from_fn(|i| item.camera_from_object * corner(i));
+    if corners.iter().any(|c| c.z < NEAR_M) {
+        return false;
+    }
+    let k = &scene.intrinsics;
+    let seen = corners.map(|c| [k.fx * c.x / c.z + k.cx, k.fy * c.y / c.z + k.cy]);
+    let sizes = [scene.width, scene.height].map(f64::from);
+    (0..2).any(|a| seen.iter().all(|at| at[a] < -1.0) || seen.iter().all(|at| at[a] > sizes[a]))
+}
+
 /// Appends the item's vertices; its rotation.
 fn transform(item: &Item<'_>, k: &Intrinsics, vertices: &mut Vec<Vertex>) -> [[f32; 3]; 3] {
     let m = item.camera_from_object.rotation.to_rotation_matrix();
     let (m, t) = (m.matrix(), item.camera_from_object.translation.vector);
-    vertices.extend(item.mesh.vertices_m.iter().map(|v| {
-        let v = v.map(f64::from);
-        let [x, y, z] = [0, 1, 2].map(|i| m[(i, 0)] * v[0] + m[(i, 1)] * v[1] + m[(i, 2)] * v[2] + t[i]);
-        place([x as f32, y as f32, z as f32], k)
-    }));
+    let row = |i: usize, v: &[f32; 3]| {
+        let [x, y, z] = [f64::from(v[0]), f64::from(v[1]), f64::from(v[2])];
+        (m[(i, 0)] * x + m[(i, 1)] * y + m[(i, 2)] * z + t[i]) as f32
+    };
+    vertices.extend(item.mesh.vertices_m.iter().map(|v| place([row(0, v), row(1, v), row(2, v)], k)));
     [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[(i, j)] as f32))
 }
 
 fn place(in_camera: [f32; 3], k: &Intrinsics) -> Vertex {
-    let [x, y, z] = in_camera.map(f64::from);
+    let [x, y, z] = [f64::from(in_camera[0]), f64::from(in_camera[1]), f64::from(in_camera[2])];
     if in_camera[2] < NEAR {
         return Vertex { in_camera, x: 0, y: 0, inverse_depth: 0.0 };
     }

@@ -17,9 +17,11 @@ const STILL: f32 = 0.03;
 struct Template {
     /// Brightness less its mean.
     values: [f32; COUNT],
-    gradient: [[f32; 2]; COUNT],
+    gradient: [[f32; COUNT]; 2],
     /// Inverse of the sum of gradient products.
     inverse: Matrix2<f32>,
+    /// Sum of the gradients times the values.
+    own_pull: Vector2<f32>,
     length: f32,
 }
 
@@ -58,29 +60,22 @@ pub(crate) fn find(
 
 impl Template {
     fn new(level: &Level, at: [f32; 2], key_from_here: &Matrix2<f32>) -> Option<Self> {
-        let m = key_from_here;
-        let mut rim = [[0.0_f32; RIM]; RIM];
-        for (j, row) in rim.iter_mut().enumerate() {
-            let dy = j as f32 - (HALF + 1) as f32;
-            for (i, value) in row.iter_mut().enumerate() {
-                let dx = i as f32 - (HALF + 1) as f32;
-                *value =
-                    level.sample(at[0] + m[(0, 0)] * dx + m[(0, 1)] * dy, at[1] + m[(1, 0)] * dx + m[(1, 1)] * dy)?;
-            }
-        }
-        let (mut values, mut gradient) = ([0.0; COUNT], [[0.0; 2]; COUNT]);
-        let mut hessian = Matrix2::zeros();
+        let rim = rim(level, at, key_from_here)?;
+        let (mut values, mut gradient) = ([0.0; COUNT], [[0.0; COUNT]; 2]);
         for k in 0..COUNT {
-            let (i, j) = (k % SIDE + 1, k / SIDE + 1);
+            let (j, i) = (k / SIDE + 1, k % SIDE + 1);
             values[k] = rim[j][i];
-            let g = [0.5 * (rim[j][i + 1] - rim[j][i - 1]), 0.5 * (rim[j + 1][i] - rim[j - 1][i])];
-            gradient[k] = g;
-            hessian += Matrix2::new(g[0] * g[0], g[0] * g[1], g[0] * g[1], g[1] * g[1]);
+            gradient[0][k] = 0.5 * (rim[j][i + 1] - rim[j][i - 1]);
+            gradient[1][k] = 0.5 * (rim[j + 1][i] - rim[j - 1][i]);
         }
-        let mean = values.iter().sum::<f32>() / COUNT as f32;
+        let mean = sum(&values) / COUNT as f32;
         values.iter_mut().for_each(|v| *v -= mean);
-        let length = values.iter().map(|v| v * v).sum::<f32>().sqrt();
-        Some(Self { values, gradient, inverse: hessian.try_inverse()?, length: length.max(1e-3) })
+        let [gx, gy] = &gradient;
+        let across = dot(gx, gy);
+        let inverse = Matrix2::new(dot(gx, gx), across, across, dot(gy, gy)).try_inverse()?;
+        let own_pull = Vector2::new(dot(gx, &values), dot(gy, &values));
+        let length = dot(&values, &values).sqrt().max(1e-3);
+        Some(Self { values, gradient, inverse, own_pull, length })
     }
 
     /// The place near `start` that looks most like it.
@@ -88,20 +83,13 @@ impl Template {
         let mut at = start;
         let mut likeness = 0.0;
         for _ in 0..STEPS {
-            let mut seen = [0.0_f32; COUNT];
-            for (k, value) in seen.iter_mut().enumerate() {
-                let (dx, dy) = ((k % SIDE) as f32 - HALF as f32, (k / SIDE) as f32 - HALF as f32);
-                *value = level.sample(at[0] + dx, at[1] + dy)?;
-            }
-            let mean = seen.iter().sum::<f32>() / COUNT as f32;
-            let length = seen.iter().map(|v| (v - mean).powi(2)).sum::<f32>().sqrt().max(1e-3);
+            let mut seen = window(level, at)?;
+            let mean = sum(&seen) / COUNT as f32;
+            seen.iter_mut().for_each(|v| *v -= mean);
+            let length = dot(&seen, &seen).sqrt().max(1e-3);
             let gain = length / self.length;
-            likeness = seen.iter().zip(&self.values).map(|(s, t)| (s - mean) * t).sum::<f32>() / (length * self.length);
-            let mut pull = Vector2::zeros();
-            for k in 0..COUNT {
-                let r = (seen[k] - mean) / gain - self.values[k];
-                pull += Vector2::new(self.gradient[k][0] * r, self.gradient[k][1] * r);
-            }
+            likeness = dot(&seen, &self.values) / (length * self.length);
+            let pull = Vector2::new(dot(&seen, &self.gradient[0]), dot(&seen, &self.gradient[1])) / gain - self.own_pull;
             let step = self.inverse * pull;
             at = [at[0] - step.x, at[1] - step.y];
             if step.norm() < STILL {
@@ -110,6 +98,67 @@ impl Template {
         }
         at.iter().all(|v| v.is_finite()).then_some((at, likeness))
     }
+}
+
+/// The patch around a place of a keyframe, and a pixel more on each side, as the frame should show it; `None` where the keyframe ends.
+fn rim(level: &Level, at: [f32; 2], key_from_here: &Matrix2<f32>) -> Option<[[f32; RIM]; RIM]> {
+    let m = key_from_here;
+    let place = |dx: f32, dy: f32| [at[0] + m[(0, 0)] * dx + m[(0, 1)] * dy, at[1] + m[(1, 0)] * dx + m[(1, 1)] * dy];
+    let end = (HALF + 1) as f32;
+    let corners = [place(-end, -end), place(end, -end), place(-end, end), place(end, end)];
+    if !corners.iter().all(|c| level.holds(*c)) {
+        return None;
+    }
+    let mut out = [[0.0; RIM]; RIM];
+    for (j, row) in out.iter_mut().enumerate() {
+        for (i, value) in row.iter_mut().enumerate() {
+            *value = level.sample(place(i as f32 - end, j as f32 - end));
+        }
+    }
+    Some(out)
+}
+
+/// The patch around a place of the frame; all its pixels lie equally between those of the frame. `None` where the frame ends.
+fn window(level: &Level, at: [f32; 2]) -> Option<[f32; COUNT]> {
+    let half = HALF as f32;
+    let (first, last) = (at.map(|v| v - half), at.map(|v| v + half));
+    if !(level.holds(first) && level.holds(last)) {
+        return None;
+    }
+    let corner = first.map(|v| v as usize);
+    let [fx, fy] = [0, 1].map(|k| first[k] - corner[k] as f32);
+    let along = |j: usize| -> [f32; SIDE] {
+        let from = (corner[1] + j) * level.width + corner[0];
+        let pixels = &level.grey[from..][..SIDE + 1];
+        let mut out = [0.0; SIDE];
+        (0..SIDE).for_each(|i| out[i] = pixels[i] + fx * (pixels[i + 1] - pixels[i]));
+        out
+    };
+    let mut out = [0.0; COUNT];
+    let mut above = along(0);
+    for (j, row) in out.as_chunks_mut::<SIDE>().0.iter_mut().enumerate() {
+        let below = along(j + 1);
+        (0..SIDE).for_each(|i| row[i] = above[i] + fy * (below[i] - above[i]));
+        above = below;
+    }
+    Some(out)
+}
+
+/// Sums in eight parts, as registers hold them.
+const LANES: usize = 8;
+
+fn sum(a: &[f32; COUNT]) -> f32 {
+    dot(a, &[1.0; COUNT])
+}
+
+fn dot(a: &[f32; COUNT], b: &[f32; COUNT]) -> f32 {
+    let mut parts = [0.0_f32; LANES];
+    let ((a, rest_a), (b, rest_b)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    for (a, b) in a.iter().zip(b) {
+        (0..LANES).for_each(|i| parts[i] += a[i] * b[i]);
+    }
+    let rest: f32 = rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum();
+    parts.iter().sum::<f32>() + rest
 }
 
 #[cfg(test)]

@@ -56,17 +56,19 @@ impl Level {
         Self { width, height, grey }
     }
 
-    /// Bilinear sample; `None` outside.
-    pub(crate) fn sample(&self, x: f32, y: f32) -> Option<f32> {
-        if !(x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0) {
-            return None;
-        }
+    /// Whether a place has pixels on all sides.
+    pub(crate) fn holds(&self, [x, y]: [f32; 2]) -> bool {
+        x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0
+    }
+
+    /// Bilinear sample at a place that it [holds](Self::holds).
+    pub(crate) fn sample(&self, [x, y]: [f32; 2]) -> f32 {
         let (x0, y0) = (x as usize, y as usize);
         let (fx, fy) = (x - x0 as f32, y - y0 as f32);
         let i = y0 * self.width + x0;
         let (a, b) = (&self.grey[i..i + 2], &self.grey[i + self.width..i + self.width + 2]);
         let (top, bottom) = (a[0] + fx * (a[1] - a[0]), b[0] + fx * (b[1] - b[0]));
-        Some(top + fy * (bottom - top))
+        top + fy * (bottom - top)
     }
 }
 
@@ -86,9 +88,9 @@ mod tests {
         let pyramid = Pyramid::new(&image);
         for (l, level) in pyramid.levels.iter().enumerate() {
             let [x, y] = in_level([30.25, 20.5], l);
-            assert!((level.sample(x, y).unwrap() - 81.0).abs() < 1e-3, "level {l}");
+            assert!((level.sample([x, y]) - 81.0).abs() < 1e-3, "level {l}");
         }
-        assert!(pyramid.levels[0].sample(63.0, 3.0).is_none());
+        assert!(!pyramid.levels[0].holds([63.0, 3.0]));
         assert!(Pyramid::new(&RgbImage::new(64, 48)).brightness() == (0.0, 0.0));
     }
 
