@@ -15,6 +15,10 @@ use pseudoflow_imaging::raster::Item;
 const ANCHORED: f64 = 0.8;
 const ANCHOR_CONTRAST: f64 = 5.0;
 const ANCHOR_GAIN: f64 = 0.03;
+/// A rendering that brought nothing is tried again after 1, 3, then 7 further comparisons of its object, or once the picture is so
+/// much less like the mesh.
+const MOST_SKIPPED: u32 = 7;
+const WORSE: f64 = 0.05;
 /// How far off a rendering may be: as far as things move in this time.
 const ANCHOR_GAP_S: f64 = 0.5;
 /// Confidence from which a frame is a keyframe: a wrong one would hold the object where it is.
@@ -56,6 +60,25 @@ impl Tracker {
     /// A pose that the mesh itself, rendered where the object is believed to be, is more like than there.
     pub(crate) fn anchored(&mut self, i: usize, now: &Now<'_>, poses: &[Pose]) -> Option<Trial> {
         let before = self.tracks[i].likeness.filter(|l| l.contrast > ANCHOR_CONTRAST && l.correlation < ANCHORED)?;
+        if !self.tracks[i].anchoring.is_due(before.correlation) {
+            return None;
+        }
+        let found = self.moved_to_rendering(i, now, poses, before.correlation);
+        self.tracks[i].anchoring.note(before.correlation, found.is_some());
+        let (trial, after) = found?;
+        self.jump(i, &poses[i], &trial.pose);
+        (self.tracks[i].likeness, self.tracks[i].texture_due) = (Some(after), true);
+        Some(trial)
+    }
+
+    /// The pose that a rendering of the mesh leads to, and how like the picture the mesh is there, if that is more than `before`.
+    fn moved_to_rendering(
+        &mut self,
+        i: usize,
+        now: &Now<'_>,
+        poses: &[Pose],
+        before: f64,
+    ) -> Option<(Trial, Likeness)> {
         let keyframe = {
             let Self { maker, objects, tracks, .. } = self;
             maker.rendered(now.pyramid, &items(objects, tracks, i, &poses[i], poses), &now.frame.intrinsics)?
@@ -66,12 +89,7 @@ impl Tracker {
             return None;
         }
         let after = self.likeness(i, now, &trial.pose, poses)?;
-        if after.correlation < before.correlation + ANCHOR_GAIN {
-            return None;
-        }
-        self.jump(i, &poses[i], &trial.pose);
-        (self.tracks[i].likeness, self.tracks[i].texture_due) = (Some(after), true);
-        Some(trial)
+        (after.correlation >= before + ANCHOR_GAIN).then_some((trial, after))
     }
 
     /// Makes a keyframe of the object that needs one most; one a frame, so that no frame takes long.
@@ -104,6 +122,36 @@ impl Tracker {
                 .max_by(|a, b| apart(&track.keyframes[*a], &pose).total_cmp(&apart(&track.keyframes[*b], &pose)));
             track.keyframes.remove(farthest.unwrap_or(0));
         }
+    }
+}
+
+/// When an object is to be moved to a rendering of it again.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Anchoring {
+    /// Comparisons that are still to be left out, and how many were the last time.
+    skip: u32,
+    skipped: u32,
+    /// How like the mesh the picture was when a rendering last brought nothing.
+    failed_at: f64,
+}
+
+impl Anchoring {
+    fn is_due(&mut self, correlation: f64) -> bool {
+        if self.skip == 0 || correlation < self.failed_at - WORSE {
+            return true;
+        }
+        self.skip -= 1;
+        false
+    }
+
+    fn note(&mut self, correlation: f64, moved: bool) {
+        *self = match moved {
+            true => Self::default(),
+            false => {
+                let skipped = (2 * self.skipped + 1).min(MOST_SKIPPED);
+                Self { skip: skipped, skipped, failed_at: correlation }
+            }
+        };
     }
 }
 

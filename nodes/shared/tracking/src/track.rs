@@ -1,5 +1,6 @@
 //! What is known of one object.
 
+use crate::compare::Anchoring;
 use crate::evidence::Evidence;
 use crate::history::{History, Velocity};
 use crate::texture::{Keyframe, Likeness};
@@ -52,6 +53,7 @@ pub(crate) struct Track {
     /// How alike its rendering and the picture were when they were compared last, and the frame after that.
     pub(crate) likeness: Option<Likeness>,
     pub(crate) compared_at: u64,
+    pub(crate) anchoring: Anchoring,
     /// Where those at rest say that it is, when this frame does not show it surely.
     pub(crate) resting: Option<Pose>,
     /// Other poses of what was found, in the last frame: to be looked at once with its own.
@@ -94,6 +96,7 @@ impl Track {
             at_rest: 0,
             likeness: None,
             compared_at: 0,
+            anchoring: Anchoring::default(),
             resting: None,
             others: Vec::new(),
             verified: false,
