@@ -10,6 +10,7 @@ mod config;
 mod crops;
 mod encoder;
 mod library;
+mod likeness;
 mod turned_camera;
 mod views;
 
@@ -148,7 +149,8 @@ impl Comparer {
     ) -> Result<CoarseMatch, InitializerError> {
         let (camera, detected) = TurnedCamera::at(photograph.camera, detected);
         let crops = Crops::look(&mut self.coarse, photograph, &camera, &SIZES)?;
-        let views = apart(crops.score(self.library.views(object.id), Some(&detected)), self.kept());
+        let promising = crops.promising(self.library.views(object.id), &detected);
+        let views = apart(crops.score(promising, Some(&detected)), self.kept());
         Ok(CoarseMatch { detected, views })
     }
 

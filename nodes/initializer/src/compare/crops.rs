@@ -11,6 +11,8 @@ use rayon::prelude::*;
 pub(super) const MARGIN: f64 = 1.25;
 /// Objects are larger than the network says, in the middle.
 const LARGER: f64 = 1.08;
+/// Views from all sides that are worth more than a rough look, of several hundred.
+const PROMISING: usize = 96;
 /// Weight of the squared logarithms of the ratios of width and height.
 const UNLIKE: f64 = 0.5;
 /// Their largest sum that counts.
@@ -49,19 +51,41 @@ impl Crops {
     }
 
     /// All views, in their order; where width and height of a detection are given, theirs are held against them.
-    pub(super) fn score(&self, views: &[View], detected: Option<&Vector2<f64>>) -> Vec<Scored> {
-        views.par_iter().map(|view| self.score_one(view, detected)).collect()
+    pub(super) fn score<'v>(
+        &self,
+        views: impl IntoParallelIterator<Item = &'v View>,
+        detected: Option<&Vector2<f64>>,
+    ) -> Vec<Scored> {
+        views.into_par_iter().map(|view| self.score_one(view, detected)).collect()
+    }
+
+    /// The [`PROMISING`] views that fit best at a rough look, to be scored.
+    pub(super) fn promising<'v>(&self, views: &'v [View], detected: &Vector2<f64>) -> Vec<&'v View> {
+        let rough = |view: &'v View| {
+            let of_crop = |(features, camera): (&[f32], &TurnedCamera)| {
+                view.rough_similarity(features) - unlike(view.shape * camera.side, detected)
+            };
+            let all = self.features.chunks_exact(self.per_crop()).zip(&self.cameras).map(of_crop);
+            (all.fold(f32::NEG_INFINITY, f32::max), view)
+        };
+        let mut ranked: Vec<(f32, &View)> = views.par_iter().map(rough).collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        ranked.into_iter().take(PROMISING).map(|(_, view)| view).collect()
+    }
+
+    /// Features of one crop.
+    fn per_crop(&self) -> usize {
+        self.features.len() / self.cameras.len()
     }
 
     fn score_one(&self, view: &View, detected: Option<&Vector2<f64>>) -> Scored {
-        let per_crop = self.features.len() / self.cameras.len();
         let of_crop = |(features, camera): (&[f32], &TurnedCamera)| {
             let (similarity, shift) = view.similarity(features);
             let cost = detected.map_or(0.0, |d| unlike(view.shape * camera.side, d));
             (similarity - cost, shift)
         };
         let tries: Vec<(f32, [f64; 2])> =
-            self.features.chunks_exact(per_crop).zip(&self.cameras).map(of_crop).collect();
+            self.features.chunks_exact(self.per_crop()).zip(&self.cameras).map(of_crop).collect();
         let best = (0..tries.len()).max_by(|a, b| tries[*a].0.total_cmp(&tries[*b].0)).unwrap_or(0);
         // Between the sizes, where it is not the least or the largest.
         let inside = (1..tries.len() - 1).contains(&best);

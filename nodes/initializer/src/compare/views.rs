@@ -24,10 +24,6 @@ pub(super) struct View {
     pub(super) features: Vec<f32>,
 }
 
-/// Largest shift that is tried, cells.
-const SHIFT: i32 = 2;
-/// Shifts along each axis.
-const ACROSS: usize = 2 * SHIFT as usize + 1;
 /// Cells with less of the object say nothing, share of their pixels.
 const LEAST_COVER: f64 = 0.6;
 /// Views are encoded so many at a time.
@@ -43,51 +39,12 @@ impl View {
         let channels = self.features.len() / self.cells.len().max(1);
         self.features.chunks_exact_mut(channels.max(1)).for_each(super::cache::round);
     }
-
-    /// Mean cosine with the features of a crop (across^2 x channels) at the best of the whole shifts, and where the best shift
-    /// lies between them, cells.
-    pub(super) fn similarity(&self, crop: &[f32]) -> (f32, [f64; 2]) {
-        let all: [f32; ACROSS * ACROSS] = std::array::from_fn(|i| self.shifted(crop, [i % ACROSS, i / ACROSS]));
-        let best = (0..all.len()).max_by(|a, b| all[*a].total_cmp(&all[*b]).then(b.cmp(a))).unwrap_or(0);
-        let at = [best % ACROSS, best / ACROSS];
-        let between = |k: usize| {
-            let inside = (1..ACROSS - 1).contains(&at[k]);
-            let step = [1, ACROSS][k];
-            let away = if inside { summit([all[best - step], all[best], all[best + step]]) } else { 0.0 };
-            at[k] as f64 - f64::from(SHIFT) + away
-        };
-        (all[best], [between(0), between(1)])
-    }
-
-    /// At one shift, numbered from the smallest.
-    fn shifted(&self, crop: &[f32], shift: [usize; 2]) -> f32 {
-        let channels = self.features.len() / self.cells.len().max(1);
-        let (size, shift) = (self.across, shift.map(|s| s as i32 - SHIFT));
-        let mut sum = 0.0;
-        for ([x, y], feature) in self.cells.iter().zip(self.features.chunks_exact(channels.max(1))) {
-            let (x, y) = (x + shift[0], y + shift[1]);
-            if (0..size).contains(&x) && (0..size).contains(&y) {
-                let at = (y * size + x) as usize * channels;
-                sum += dot(feature, &crop[at..at + channels]);
-            }
-        }
-        sum / self.cells.len().max(1) as f32
-    }
 }
 
 /// Where the parabola through three values at -1, 0 and 1 is highest; the middle one is the highest of them.
 pub(super) fn summit([left, middle, right]: [f32; 3]) -> f64 {
     let bend = left - 2.0 * middle + right;
     if bend < 0.0 { f64::from((left - right) / (2.0 * bend)).clamp(-0.5, 0.5) } else { 0.0 }
-}
-
-/// Eight sums side by side, so that the compiler can use wide registers.
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; 8];
-    for (a, b) in a.as_chunks::<8>().0.iter().zip(b.as_chunks::<8>().0) {
-        (0..8).for_each(|i| sums[i] += a[i] * b[i]);
-    }
-    sums.iter().sum()
 }
 
 /// Renders and encodes an object, turned in these ways, from where its projection has this larger side at unit distance: near
