@@ -97,7 +97,11 @@ mod tests {
     #[test]
     fn a_view_is_found_where_it_was_cut_out() {
         let (across, channels) = (12, 40);
-        let noise = |i: usize| ((i * 7919 + 13) % 1009) as f32 / 504.5 - 1.0;
+        let noise = |i: usize| {
+            let mixed = (i as u32 + 1).wrapping_mul(2_654_435_761);
+            let mixed = (mixed ^ (mixed >> 15)).wrapping_mul(2_246_822_519);
+            (mixed ^ (mixed >> 13)) as f32 / u32::MAX as f32 - 0.5
+        };
         let mut crop: Vec<f32> = (0..across * across * channels).map(noise).collect();
         for cell in crop.chunks_exact_mut(channels) {
             let length = cell.iter().map(|v| v * v).sum::<f32>().sqrt();

@@ -335,6 +335,16 @@ mod tests {
     }
 
     #[test]
+    fn probabilities_are_those_of_the_logistic_function() {
+        let odds: [f32; SEGMENTS] = std::array::from_fn(|i| (i as f32 - 9.0) * 1.37 + 0.1);
+        for (p, v) in probabilities(odds).into_iter().zip(odds) {
+            assert!((p - 1.0 / (1.0 + (-v).exp())).abs() < 1e-4, "{v}: {p}");
+        }
+        let far = probabilities([1e9; SEGMENTS])[0] - probabilities([-1e9; SEGMENTS])[0];
+        assert!((far - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
     fn lines_find_the_step_at_every_scale() {
         let (odds, picture) = step_at(64.0);
         for scale_px in [1.0_f32, 2.0, 5.0] {

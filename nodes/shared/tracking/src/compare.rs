@@ -45,8 +45,8 @@ impl Tracker {
         let there = |i: &usize| trials[*i].is_some_and(|t| t.evidence.lines > 0.0);
         let mut due: Vec<usize> = (0..trials.len()).filter(there).collect();
         due.sort_by_key(|i| self.tracks[*i].compared_at);
-        // After a long gap what was seen before tells little, and there is time.
-        let at_most = if self.after_long_gap(now) { due.len() } else { 1 };
+        // After a long gap what was seen before tells little, and where no frame was dropped there is time.
+        let at_most = if self.after_long_gap(now) && !now.late { due.len() } else { 1 };
         let poses = poses_of(trials, predicted);
         for i in due.into_iter().take(at_most) {
             self.tracks[i].compared_at = now.frame.index + 1;

@@ -17,6 +17,8 @@ pub(crate) struct Now<'a> {
     pub(crate) frame: Frame<'a>,
     pub(crate) pyramid: &'a Arc<Pyramid>,
     pub(crate) gap_s: f64,
+    /// Whether frames before it were dropped: whoever follows is late, and has no time for more than must be.
+    pub(crate) late: bool,
 }
 
 /// Follows objects from frame to frame.
@@ -70,7 +72,8 @@ impl Tracker {
         self.tracks.iter_mut().for_each(|t| t.resting = None);
         let pyramid = Arc::new(Pyramid::new(frame.rgb));
         let dark = pyramid.brightness().1 < DARK_SPREAD;
-        let now = &Now { frame: *frame, pyramid: &pyramid, gap_s };
+        let late = self.last.is_some_and(|(index, _)| frame.index > index + 1);
+        let now = &Now { frame: *frame, pyramid: &pyramid, gap_s, late };
         let predicted: Vec<Pose> = self.tracks.iter().map(|t| self.predict(t, gap_s)).collect();
         let trials = match dark {
             true => self.tracks.iter().zip(&predicted).map(|(t, p)| t.known.then(|| Trial::blind(*p))).collect(),

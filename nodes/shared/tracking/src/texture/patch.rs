@@ -89,7 +89,8 @@ impl Template {
             let length = dot(&seen, &seen).sqrt().max(1e-3);
             let gain = length / self.length;
             likeness = dot(&seen, &self.values) / (length * self.length);
-            let pull = Vector2::new(dot(&seen, &self.gradient[0]), dot(&seen, &self.gradient[1])) / gain - self.own_pull;
+            let pull =
+                Vector2::new(dot(&seen, &self.gradient[0]), dot(&seen, &self.gradient[1])) / gain - self.own_pull;
             let step = self.inverse * pull;
             at = [at[0] - step.x, at[1] - step.y];
             if step.norm() < STILL {
