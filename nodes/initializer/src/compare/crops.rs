@@ -12,7 +12,7 @@ pub(super) const MARGIN: f64 = 1.25;
 /// Objects are larger than the network says, in the middle.
 const LARGER: f64 = 1.08;
 /// Views from all sides that are worth more than a rough look, of several hundred.
-const PROMISING: usize = 96;
+const PROMISING: usize = 192;
 /// Weight of the squared logarithms of the ratios of width and height.
 const UNLIKE: f64 = 0.5;
 /// Their largest sum that counts.
