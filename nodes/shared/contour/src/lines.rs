@@ -210,7 +210,8 @@ fn probabilities(log_odds: [f32; SEGMENTS]) -> [f32; SEGMENTS] {
         let power = v.clamp(-40.0, 40.0) * -std::f32::consts::LOG2_E;
         let shifted = power + WHOLE;
         let rest = power - (shifted - WHOLE);
-        let two_to_rest = 1.0 + rest * (0.693_147 + rest * (0.240_226 + rest * (0.055_504 + rest * 0.009_618)));
+        let two_to_rest =
+            1.0 + rest * (std::f32::consts::LN_2 + rest * (0.240_226 + rest * (0.055_504 + rest * 0.009_618)));
         let two_to_whole = f32::from_bits((shifted.to_bits() << 23).wrapping_add(1_f32.to_bits()));
         1.0 / (1.0 + two_to_rest * two_to_whole)
     })
