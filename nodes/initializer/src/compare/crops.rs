@@ -11,7 +11,7 @@ use rayon::prelude::*;
 pub(super) const MARGIN: f64 = 1.25;
 /// Objects are larger than the network says, in the middle.
 const LARGER: f64 = 1.08;
-/// Views from all sides that are worth more than a rough look, of several hundred.
+/// Of the several hundred views from all sides, those that are scored after a rough look.
 const PROMISING: usize = 192;
 /// Weight of the squared logarithms of the ratios of width and height.
 const UNLIKE: f64 = 0.5;
@@ -65,17 +65,16 @@ impl Crops {
             let of_crop = |(features, camera): (&[f32], &TurnedCamera)| {
                 view.rough_similarity(features) - unlike(view.shape * camera.side, detected)
             };
-            let all = self.features.chunks_exact(self.per_crop()).zip(&self.cameras).map(of_crop);
-            (all.fold(f32::NEG_INFINITY, f32::max), view)
+            (self.each().map(of_crop).fold(f32::NEG_INFINITY, f32::max), view)
         };
         let mut ranked: Vec<(f32, &View)> = views.par_iter().map(rough).collect();
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         ranked.into_iter().take(PROMISING).map(|(_, view)| view).collect()
     }
 
-    /// Features of one crop.
-    fn per_crop(&self) -> usize {
-        self.features.len() / self.cameras.len()
+    /// Features and camera of each crop.
+    fn each(&self) -> impl Iterator<Item = (&[f32], &TurnedCamera)> {
+        self.features.chunks_exact(self.features.len() / self.cameras.len()).zip(&self.cameras)
     }
 
     fn score_one(&self, view: &View, detected: Option<&Vector2<f64>>) -> Scored {
@@ -84,8 +83,7 @@ impl Crops {
             let cost = detected.map_or(0.0, |d| unlike(view.shape * camera.side, d));
             (similarity - cost, shift)
         };
-        let tries: Vec<(f32, [f64; 2])> =
-            self.features.chunks_exact(self.per_crop()).zip(&self.cameras).map(of_crop).collect();
+        let tries: Vec<(f32, [f64; 2])> = self.each().map(of_crop).collect();
         let best = (0..tries.len()).max_by(|a, b| tries[*a].0.total_cmp(&tries[*b].0)).unwrap_or(0);
         // Between the sizes, where it is not the least or the largest.
         let inside = (1..tries.len() - 1).contains(&best);

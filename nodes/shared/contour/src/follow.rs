@@ -14,7 +14,7 @@ impl Refiner {
         colours: &mut Colours,
         mut term: Option<&mut dyn Term>,
     ) -> Region {
-        // Those of an earlier frame are no longer to be learnt.
+        // What was counted in an earlier frame is no longer to be learnt.
         colours.0.counted_at = None;
         self.with(colours, |this| match this.open(task) {
             RegionStatus::Ok => this.descend(task, start, &mut term),

@@ -11,13 +11,6 @@ pub(crate) const OFFSETS: usize = 12;
 /// Segments that take part in the likelihood of one place.
 const STEP: usize = 8;
 
-/// The smoothed step: a pixel inside of the contour has a colour of the inside with probability `1/2 + amplitude`, one outside of it
-/// with `1/2 - amplitude`. SRT3D's global and local uncertainty (arXiv 2110.12715, eq. 9) without the slope, which did worse.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct SmoothStep {
-    pub(crate) amplitude: f32,
-}
-
 /// A contour point as a pose shows it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Line {
@@ -156,7 +149,9 @@ const WHOLE: f32 = 12_582_912.0;
 pub(crate) struct Reading {
     /// Length of a segment, pixels of the picture.
     pub(crate) scale_px: f32,
-    pub(crate) step: SmoothStep,
+    /// Of the smoothed step: a pixel inside of the contour has a colour of the inside with probability `1/2 + amplitude`, one outside
+    /// of it with `1/2 - amplitude`. SRT3D's global and local uncertainty (arXiv 2110.12715, eq. 9) without the slope, which did worse.
+    pub(crate) amplitude: f32,
     /// Shortest stretch of object and of background, segments.
     pub(crate) shortest: f32,
     /// Share of a pixel's evidence that counts.
@@ -172,7 +167,7 @@ pub(crate) fn measure(lines: &mut [Line], log_odds: &[f32], size_px: usize, read
             continue;
         }
         let inside = segments(line, log_odds, size_px, reading);
-        let likelihood = likelihoods(&inside, reading.step);
+        let likelihood = likelihoods(&inside, reading.amplitude);
         describe(line, &likelihood, reading.scale_px);
     }
 }
@@ -219,8 +214,8 @@ fn probabilities(log_odds: [f32; SEGMENTS]) -> [f32; SEGMENTS] {
 
 /// How well each place of the contour explains the segments (SRT3D, eq. 8): of the [`STEP`] segments around a place, the first half
 /// lies inside.
-fn likelihoods(inside: &[f32; SEGMENTS], step: SmoothStep) -> [f32; OFFSETS] {
-    let within = inside.map(|p| 0.5 + step.amplitude * (2.0 * p - 1.0));
+fn likelihoods(inside: &[f32; SEGMENTS], amplitude: f32) -> [f32; OFFSETS] {
+    let within = inside.map(|p| 0.5 + amplitude * (2.0 * p - 1.0));
     let beyond = within.map(|p| 1.0 - p);
     let of_four = |v: &[f32; SEGMENTS], i: usize| (v[i] * v[i + 1]) * (v[i + 2] * v[i + 3]);
     std::array::from_fn(|j| of_four(&within, j) * of_four(&beyond, j + STEP / 2))
@@ -351,8 +346,7 @@ mod tests {
         for scale_px in [1.0_f32, 2.0, 5.0] {
             for off in [-2.0, 0.0, 1.5_f32] {
                 let mut lines = [line_at(64.0 - off * scale_px)];
-                let step = SmoothStep { amplitude: 0.36 };
-                let reading = Reading { scale_px, step, shortest: 3.0, evidence: 1.0 };
+                let reading = Reading { scale_px, amplitude: 0.36, shortest: 3.0, evidence: 1.0 };
                 measure(&mut lines, &odds, picture.size_px, &reading);
                 assert!(
                     (lines[0].mean_px - off * scale_px).abs() < 0.4 * scale_px,
@@ -362,7 +356,7 @@ mod tests {
             }
         }
         let mut thin = [Line { inside_px: 5.0, ..line_at(64.0) }];
-        let reading = Reading { scale_px: 2.0, step: SmoothStep { amplitude: 0.36 }, shortest: 3.0, evidence: 1.0 };
+        let reading = Reading { scale_px: 2.0, amplitude: 0.36, shortest: 3.0, evidence: 1.0 };
         measure(&mut thin, &odds, picture.size_px, &reading);
         assert_eq!(thin[0].weight, 0.0);
     }

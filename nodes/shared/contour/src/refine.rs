@@ -3,7 +3,7 @@
 use crate::config::RegionConfig;
 use crate::hiders::{Hider, Hiders};
 use crate::histogram::{Histograms, NOWHERE};
-use crate::lines::{Line, Reading, SmoothStep, measure, measure_edges, project};
+use crate::lines::{Line, Reading, measure, measure_edges, project};
 use crate::model::ContourModel;
 use crate::picture::{Image, Picture};
 use crate::prior::{Prior, retract};
@@ -221,7 +221,7 @@ impl Refiner {
     fn read(&mut self, scale_px: f32) {
         let reading = Reading {
             scale_px,
-            step: SmoothStep { amplitude: self.config.amplitude },
+            amplitude: self.config.amplitude,
             shortest: self.config.shortest,
             evidence: self.picture.independence,
         };

@@ -81,6 +81,13 @@ impl Mesh {
         (low.map(f64::from).into(), high.map(f64::from).into())
     }
 
+    /// The corners of that box, metres.
+    #[must_use]
+    pub fn box_corners_m(&self) -> [Point3<f64>; 8] {
+        let (low, high) = self.bounds_m();
+        std::array::from_fn(|i| Point3::from([0, 1, 2].map(|k| if i >> k & 1 == 1 { high[k] } else { low[k] })))
+    }
+
     /// A subset of the vertices that bounds the projection from every side: the extreme vertex in each of 1024
     /// directions spread evenly over the sphere, in the order of their index. What sticks out between two
     /// directions is under 0.1 % of the diameter.

@@ -7,7 +7,6 @@ use super::NEAR_M;
 use super::hit::{Hit, surface};
 use super::software::{Item, MAX_ITEMS, Scene};
 use super::surface::Surface;
-use nalgebra::Point3;
 use pseudoflow_geometry::Intrinsics;
 
 /// Which triangle of which item is nearest at each sample. Its buffers are used again from one scene to the next.
@@ -118,9 +117,7 @@ impl Scratch {
 
 /// Whether all of an item lies before the camera and beyond one side of the samples, as its bounding box does.
 fn is_beside(item: &Item<'_>, scene: &Scene<'_>) -> bool {
-    let (low, high) = item.mesh.bounds_m();
-    let corner = |i: usize| Point3::from([0, 1, 2].map(|k| if i >> k & 1 == 1 { high[k] } else { low[k] }));
-    let corners: [Point3<f64>; 8] = std::array::from_fn(|i| item.camera_from_object * corner(i));
+    let corners = item.mesh.box_corners_m().map(|c| item.camera_from_object * c);
     if corners.iter().any(|c| c.z < NEAR_M) {
         return false;
     }

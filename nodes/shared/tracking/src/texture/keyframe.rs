@@ -155,12 +155,9 @@ pub(super) struct Window {
 
 impl Window {
     pub(super) fn around(item: &Item<'_>, camera: &Intrinsics, level: &Level) -> Option<Self> {
-        let (low, high) = item.mesh.bounds_m();
         let (mut least, mut most) = ([f64::MAX; 2], [f64::MIN; 2]);
-        for i in 0..8 {
-            let end = |k: usize| if i >> k & 1 == 1 { high[k] } else { low[k] };
-            let corner = item.camera_from_object * Point3::new(end(0), end(1), end(2));
-            let at = camera.project(&corner)?;
+        for corner in item.mesh.box_corners_m() {
+            let at = camera.project(&(item.camera_from_object * corner))?;
             for k in 0..2 {
                 (least[k], most[k]) = (least[k].min(at[k]), most[k].max(at[k]));
             }
