@@ -3,7 +3,8 @@
 //! `cargo run --release --workspace --example track_sequence -- SCENE MODELS [--start truth|rough] [--looks WEIGHTS] [--csv FILE]`
 //!
 //! `--looks` runs renderer, flow and pnp on what the tracker asks for; their answer comes `--delay` frames later. Files named
-//! `*.yaml` after `--pnp` are settings of the pnp node, `--config` takes the tracker's as JSON.
+//! `*.yaml` after `--pnp` are settings of the pnp node, `--config` takes the tracker's as JSON. `--look-score` is the tracker node's
+//! `look_score`. `--search N` gives what is missing its rough pose in every N-th frame, `--delay` frames later.
 
 #![allow(clippy::print_stdout)] // a measuring program talks to people
 
@@ -57,6 +58,7 @@ struct Scored {
 }
 
 fn main() {
+    env_logger::init();
     let arguments = arguments();
     let option = |name: &str, default: &str| arguments.options.get(name).cloned().unwrap_or(default.to_owned());
     let set = ObjectSet::load(&arguments.models).unwrap();
@@ -92,6 +94,7 @@ fn main() {
     let (mut spent_ms, mut look_ms, mut looks_made, mut frames) = (0.0, 0.0, 0, 0);
     let mut network = (looks != "none").then(|| Network::open(&arguments, Path::new(&looks)));
     let delay: usize = option("delay", "3").parse().unwrap();
+    let search: usize = option("search", "0").parse().unwrap();
     let verbose = option("verbose", "no") == "yes";
     let mut late: VecDeque<(usize, Vec<Correction>)> = VecDeque::new();
     let mut waiting: Vec<Correction> = Vec::new();
@@ -123,6 +126,12 @@ fn main() {
         let wanted = tracker.ask();
         spent_ms += cpu_ms() - before;
         frames += 1;
+        if search > 0 && index > 0 && index % search == 0 {
+            let missing = tracker.missing();
+            let poses = frame.initial_poses.iter().filter(|p| missing.contains(&p.object_id));
+            let found = poses.map(|p| found(p.object_id, p.camera_from_object, CorrectionKind::Found)).collect();
+            late.push_back((index + delay, found));
+        }
         if let Some(network) = network.as_mut().filter(|_| !wanted.is_empty()) {
             let before = cpu_ms();
             looks_made += wanted.len();
@@ -192,6 +201,8 @@ struct Network {
     flow: FlowNode,
     pnp: PnpNode,
     context: Context,
+    /// Score from which a look says that its pose is right.
+    least_score: f64,
 }
 
 impl Network {
@@ -215,6 +226,7 @@ impl Network {
             flow: FlowNode::create(flow, &context).unwrap(),
             pnp: PnpNode::create(pnp, &context).unwrap(),
             context,
+            least_score: arguments.options.get("look-score").map_or(0.7, |v| v.parse().unwrap()),
         }
     }
 
@@ -241,7 +253,7 @@ impl Network {
         step(&mut self.renderer, &mut messages, &self.context);
         step(&mut self.flow, &mut messages, &self.context);
         let looks = self.pnp.looks(&messages, &self.context).unwrap();
-        looks.iter().filter_map(|l| pseudoflow_tracker::looked(frame.index, &l.pose, 0.3)).collect()
+        looks.iter().filter_map(|l| pseudoflow_tracker::looked(frame.index, &l.pose, self.least_score)).collect()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::follow::poses_of;
 use crate::measure::Trial;
-use crate::rest::{Common, common_motion};
+use crate::rest::{Common, common_motion, motion_of};
 use crate::tracker::{Now, Tracker};
 use crate::types::Frame;
 use pseudoflow_geometry::{Intrinsics, Pose};
@@ -36,13 +36,16 @@ impl Tracker {
         trials: &mut [Option<Trial>],
         common: Option<&(Common, Vec<usize>)>,
     ) {
-        let Some((common, places)) = common else { return };
-        for (member, i) in common.members.iter().zip(places) {
+        for (member, i) in common.iter().flat_map(|(common, places)| common.members.iter().zip(places)) {
             self.tracks[*i].at_rest = if *member { self.tracks[*i].at_rest + 1 } else { 0 };
         }
         let poses: Vec<Pose> = poses_of(trials, &self.tracks.iter().map(|t| t.pose).collect::<Vec<_>>());
-        let sure: Vec<bool> =
-            (0..poses.len()).map(|i| common.members.iter().zip(places).any(|(m, p)| *p == i && *m)).collect();
+        // Where only one is seen, nobody says that it is not at rest any more.
+        let sure = |i: usize| match common {
+            Some((common, places)) => common.members.iter().zip(places).any(|(m, p)| *p == i && *m),
+            None => trials[i].is_some_and(|t| t.evidence.seen() >= self.config.learn_seen),
+        };
+        let sure: Vec<bool> = (0..poses.len()).map(sure).collect();
         for i in 0..self.tracks.len() {
             let unsure = trials[i].is_some_and(|t| t.evidence.seen() < self.config.learn_seen);
             if !(unsure && self.tracks[i].at_rest >= REST_FRAMES) {
@@ -65,6 +68,6 @@ impl Tracker {
             .into_iter()
             .flatten()
             .collect();
-        Some(common_motion(&bodies, camera)?.motion * seen.pose)
+        Some(motion_of(&bodies, camera)? * seen.pose)
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::follow::{hiders, subject};
 use crate::measure::Trial;
-use crate::rest::{Body, body, common_motion};
+use crate::rest::{Body, body, motion_of};
 use crate::track::{Phase, Track};
 use crate::tracker::{Now, Tracker};
 use crate::types::{Correction, CorrectionKind};
@@ -54,7 +54,10 @@ impl Tracker {
                 self.note_look(i, correction, LookOutcome::There);
                 continue;
             }
-            let (own, trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
+            let (own, mut trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
+            if !search {
+                trial = self.polished(i, now, trial, poses);
+            }
             let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
             if search && (trial.confidence > own.confidence || given_up) {
                 let others = std::mem::take(&mut self.tracks[i].others);
@@ -62,6 +65,7 @@ impl Tracker {
                 self.tracks[i].others = others;
             } else if !search {
                 let taken = self.takes_look(i, exact, (&own, &trial), correction);
+                self.log_look(now, correction, (&own, &trial), taken);
                 self.note_look(i, correction, if taken { LookOutcome::Elsewhere } else { LookOutcome::NotTaken });
                 if taken {
                     self.jump(i, &own.pose, &trial.pose);
@@ -91,8 +95,16 @@ impl Tracker {
             }
             _ => false,
         };
-        let goes_before = sure && look.evidence.seen() >= self.config.min_seen;
-        goes_before || self.prefers(own, look, correction, self.tracks[i].phase == Phase::Tracking)
+        if sure && look.evidence.seen() >= self.config.min_seen {
+            return true;
+        }
+        let tracked = self.tracks[i].phase == Phase::Tracking;
+        if tracked && matches!(correction.kind, CorrectionKind::Look { accepted: false, .. }) {
+            // A look that does not believe itself, mostly of what is hidden: only where the picture shows the object there and not here.
+            let shown = look.confidence >= self.config.min_confidence && look.evidence.seen() >= self.config.min_seen;
+            return shown && look.confidence > own.confidence + ALIKE;
+        }
+        self.prefers(own, look, correction, tracked)
     }
 
     /// Whether a track is followed in this frame, as `own` says.
@@ -113,6 +125,7 @@ impl Tracker {
         let (sure, doubtful) = (score >= self.config.sure_score, score < self.config.doubtful_score);
         let track = &mut self.tracks[i];
         track.look_score = Some(score);
+        track.disputed = outcome != LookOutcome::There;
         match outcome {
             LookOutcome::There | LookOutcome::Elsewhere if accepted => {
                 track.verified |= outcome == LookOutcome::There || sure;
@@ -125,6 +138,24 @@ impl Tracker {
             }
             _ => {}
         }
+    }
+
+    /// For whoever asks why an object was not put right.
+    fn log_look(&self, now: &Now<'_>, look: &Correction, (own, trial): (&Trial, &Trial), taken: bool) {
+        let say = |t: &Trial| {
+            let e = t.evidence;
+            format!("{:.2} (contour {:.2}, likeness {:.2})", t.confidence, e.of_contour(), e.likeness)
+        };
+        log::debug!(
+            "frame {}, object {}: {:?} of frame {} {}: {}, own {}",
+            now.frame.index,
+            look.object_id,
+            look.kind,
+            look.frame,
+            if taken { "taken" } else { "not taken" },
+            say(trial),
+            say(own),
+        );
     }
 
     /// A pose that others have found, in this frame.
@@ -180,11 +211,7 @@ impl Tracker {
     /// Motion of the scene at rest since a frame; of one object alone where there is no other.
     fn motion_since(&self, frame: u64, now: &[Pose], camera: &Intrinsics) -> Option<Pose> {
         let bodies: Vec<Body> = self.bodies(frame, now, |_| true).into_iter().flatten().collect();
-        match bodies.as_slice() {
-            [] => None,
-            [one] => Some(one.now * one.before.inverse()),
-            _ => common_motion(&bodies, camera).map(|c| c.motion),
-        }
+        motion_of(&bodies, camera)
     }
 
     /// What was seen in a frame and is seen now, for each track that `counts`.

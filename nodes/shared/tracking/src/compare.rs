@@ -1,7 +1,7 @@
 //! The picture against the mesh itself, and keyframes of it: what contours do not tell.
 
 use crate::config::TextureConfig;
-use crate::follow::poses_of;
+use crate::follow::{poses_of, subject};
 use crate::measure::{Trial, apart, nearest};
 use crate::texture::Likeness;
 use crate::track::{Phase, Track};
@@ -10,11 +10,10 @@ use crate::types::KnownObject;
 use pseudoflow_geometry::Pose;
 use pseudoflow_imaging::raster::Item;
 
-/// Renderings less like the picture than this are moved to it, if they have so much contrast (grey levels); by at least so much
-/// they must then be more alike.
-const ANCHORED: f64 = 0.8;
+/// Objects are bound to a rendering of their mesh, if it has so much contrast (grey levels). The picture may be less like the mesh
+/// there by so much: on a plain face correlation hangs on light and sharpness more than on a turn of ten degrees.
 const ANCHOR_CONTRAST: f64 = 5.0;
-const ANCHOR_GAIN: f64 = 0.03;
+const ANCHOR_LOSS: f64 = 0.05;
 /// A rendering that brought nothing is tried again after 1, 3, then 7 further comparisons of its object, or once the picture is so
 /// much less like the mesh.
 const MOST_SKIPPED: u32 = 7;
@@ -28,10 +27,7 @@ impl Tracker {
     /// A trial with what a rendering of it says.
     pub(crate) fn compared(&mut self, i: usize, now: &Now<'_>, trial: &Trial, poses: &[Pose]) -> Trial {
         let likeness = self.likeness(i, now, &trial.pose, poses);
-        let mut trial = *trial;
-        trial.evidence.looked_at(likeness);
-        trial.confidence = trial.evidence.confidence();
-        trial
+        trial.with_likeness(likeness)
     }
 
     pub(crate) fn likeness(&mut self, i: usize, now: &Now<'_>, pose: &Pose, poses: &[Pose]) -> Option<Likeness> {
@@ -57,13 +53,14 @@ impl Tracker {
         }
     }
 
-    /// A pose that the mesh itself, rendered where the object is believed to be, is more like than there.
+    /// The pose that the mesh itself, rendered where the object is believed to be, leads to, if clearly more of it agrees with that:
+    /// keyframes and colours hold an object where it was believed to be when they were taken, wrongly turned or not.
     pub(crate) fn anchored(&mut self, i: usize, now: &Now<'_>, poses: &[Pose]) -> Option<Trial> {
-        let before = self.tracks[i].likeness.filter(|l| l.contrast > ANCHOR_CONTRAST && l.correlation < ANCHORED)?;
+        let before = self.tracks[i].likeness.filter(|l| l.contrast > ANCHOR_CONTRAST)?;
         if !self.tracks[i].anchoring.is_due(before.correlation) {
             return None;
         }
-        let found = self.moved_to_rendering(i, now, poses, before.correlation);
+        let found = self.moved_to_rendering(i, now, poses, before.correlation - ANCHOR_LOSS);
         self.tracks[i].anchoring.note(before.correlation, found.is_some());
         let (trial, after) = found?;
         self.jump(i, &poses[i], &trial.pose);
@@ -71,25 +68,39 @@ impl Tracker {
         Some(trial)
     }
 
-    /// The pose that a rendering of the mesh leads to, and how like the picture the mesh is there, if that is more than `before`.
-    fn moved_to_rendering(
-        &mut self,
-        i: usize,
-        now: &Now<'_>,
-        poses: &[Pose],
-        before: f64,
-    ) -> Option<(Trial, Likeness)> {
+    /// A compared trial, moved to the mesh rendered there where that makes it more like the picture. A look is right to a few pixels,
+    /// while a track lies on the texture to a fraction of one: without this, a look at a track that is wrongly turned would lose.
+    pub(crate) fn polished(&mut self, i: usize, now: &Now<'_>, trial: Trial, poses: &[Pose]) -> Trial {
+        if trial.evidence.contrast <= ANCHOR_CONTRAST / (ANCHOR_CONTRAST + 10.0) {
+            return trial;
+        }
+        let mut there = poses.to_vec();
+        there[i] = trial.pose;
+        match self.moved_to_rendering(i, now, &there, trial.evidence.likeness) {
+            Some((moved, likeness)) => moved.with_likeness(Some(likeness)),
+            None => trial,
+        }
+    }
+
+    /// The pose that a rendering of the mesh leads to, and how like the picture the mesh is there, if that is at least `least`.
+    fn moved_to_rendering(&mut self, i: usize, now: &Now<'_>, poses: &[Pose], least: f64) -> Option<(Trial, Likeness)> {
         let keyframe = {
             let Self { maker, objects, tracks, .. } = self;
             maker.rendered(now.pyramid, &items(objects, tracks, i, &poses[i], poses), &now.frame.intrinsics)?
         };
         let wide = Now { gap_s: now.gap_s.max(ANCHOR_GAP_S), ..*now };
-        let trial = self.follow_with(i, &wide, &poses[i], poses, &[keyframe]);
+        let there = {
+            let Self { measurer, objects, tracks, .. } = self;
+            measurer.anchored(&subject(&wide, &objects[tracks[i].object], &[]), &poses[i], &keyframe)?
+        };
+        let colours = std::mem::take(&mut self.tracks[i].colours);
+        let trial = self.follow_with(i, now, &there, poses, &[keyframe]);
+        self.tracks[i].colours = colours;
         if trial.evidence.seen() < self.config.min_seen {
             return None;
         }
         let after = self.likeness(i, now, &trial.pose, poses)?;
-        (after.correlation >= before + ANCHOR_GAIN).then_some((trial, after))
+        (after.correlation >= least).then_some((trial, after))
     }
 
     /// Makes a keyframe of the object that needs one most; one a frame, so that no frame takes long.

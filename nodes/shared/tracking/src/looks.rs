@@ -43,7 +43,8 @@ pub(crate) fn wanted(tracks: &[Track], now_ns: i64, config: &TrackingConfig) -> 
     let urgency = |t: &Track| {
         let age_s = since(t.looked_ns);
         let (due_s, weight) = match (t.measured, t.phase) {
-            (true, Phase::Tracking) => (config.look_every_s, 1.0),
+            (true, Phase::Tracking) if !t.disputed => (config.look_every_s, 1.0),
+            (true, Phase::Tracking) => (config.look_again_s, 2.0),
             (_, Phase::Lost) => (config.look_again_s * 2.0, 2.0),
             _ => (config.look_again_s, 4.0),
         };

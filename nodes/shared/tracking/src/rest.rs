@@ -72,6 +72,15 @@ pub(crate) fn common_motion(bodies: &[Body], camera: &Intrinsics) -> Option<Comm
     Some(Common { motion, members })
 }
 
+/// The motion of the scene as bodies that are taken to be at rest show it; one alone shows its own.
+pub(crate) fn motion_of(bodies: &[Body], camera: &Intrinsics) -> Option<Pose> {
+    match bodies {
+        [] => None,
+        [one] => Some(one.now * one.before.inverse()),
+        _ => common_motion(bodies, camera).map(|c| c.motion),
+    }
+}
+
 /// The rigid motion nearest to that of all points of some bodies.
 fn fit<'a>(bodies: impl Iterator<Item = &'a Body>) -> Pose {
     type Pair = (Vector3<f64>, Vector3<f64>);

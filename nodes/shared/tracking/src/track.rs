@@ -62,6 +62,8 @@ pub(crate) struct Track {
     pub(crate) verified: bool,
     /// What the last look that came said of it: the probability that the look's pose is right.
     pub(crate) look_score: Option<f64>,
+    /// Whether the last look that came was of another pose, taken or not.
+    pub(crate) disputed: bool,
     /// Looks in a row that spoke against it.
     pub(crate) doubts: u32,
     /// When a look was asked for that has not come back.
@@ -101,6 +103,7 @@ impl Track {
             others: Vec::new(),
             verified: false,
             look_score: None,
+            disputed: false,
             doubts: 0,
             asked_ns: None,
             looked_ns: None,

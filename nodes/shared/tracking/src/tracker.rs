@@ -101,8 +101,7 @@ impl Tracker {
         self.compare_one(now, &mut trials, predicted);
         for (track, trial) in self.tracks.iter().zip(&mut trials) {
             if let Some(trial) = trial.as_mut().filter(|t| t.evidence.lines > 0.0) {
-                trial.evidence.looked_at(track.likeness);
-                trial.confidence = trial.evidence.confidence();
+                *trial = trial.with_likeness(track.likeness);
             }
         }
         trials

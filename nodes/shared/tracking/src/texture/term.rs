@@ -73,6 +73,11 @@ impl TextureTerm<'_> {
         (*median / 1.1774).clamp(self.sigma_px[0], self.sigma_px[1])
     }
 
+    /// Matches that a pose agrees with to some pixels.
+    pub(crate) fn within(&self, pose: &Pose, px: f64) -> usize {
+        self.errors(pose).filter(|(_, _, e)| e.is_some_and(|e| e[0].hypot(e[1]) < px)).count()
+    }
+
     /// Share of all matches that a pose agrees with.
     pub(crate) fn agreeing(&self, pose: &Pose) -> f64 {
         let limit = TUKEY * self.scale_px(pose).min(1.0);
