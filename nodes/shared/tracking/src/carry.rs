@@ -56,7 +56,7 @@ impl Tracker {
             }
             let (own, mut trial) = (self.compared(i, now, &own, poses), self.compared(i, now, &trial, poses));
             if !search {
-                trial = self.polished(i, now, trial, poses);
+                trial = self.polished(i, now, trial, &start, poses);
             }
             let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
             if search && (trial.confidence > own.confidence || given_up) {
@@ -133,7 +133,10 @@ impl Tracker {
             }
             // What is hidden cannot be looked at, which says nothing of its pose; and a track that contour, texture and rendering are
             // sure of is not given up for what a look at few pixels says.
-            _ if track.measured && track.confidence < DOUBTFUL_CONFIDENCE && (accepted || doubtful) => {
+            _ if track.measured
+                && track.confidence < DOUBTFUL_CONFIDENCE
+                && (doubtful || accepted && score > track.confidence) =>
+            {
                 track.doubts += 1
             }
             _ => {}

@@ -68,18 +68,21 @@ impl Tracker {
         Some(trial)
     }
 
-    /// A compared trial, moved to the mesh rendered there where that makes it more like the picture. A look is right to a few pixels,
-    /// while a track lies on the texture to a fraction of one: without this, a look at a track that is wrongly turned would lose.
-    pub(crate) fn polished(&mut self, i: usize, now: &Now<'_>, trial: Trial, poses: &[Pose]) -> Trial {
-        if trial.evidence.contrast <= ANCHOR_CONTRAST / (ANCHOR_CONTRAST + 10.0) {
-            return trial;
-        }
+    /// What a look is worth, bound to the mesh as tracks are: a look is right to a few pixels, a track lies on the texture to a fraction
+    /// of one, and would win though it is wrongly turned. The mesh is rendered where the contour led the look (`trial`), and where the
+    /// look said (`look`): beside something that hides the object the contour may lead it away.
+    pub(crate) fn polished(&mut self, i: usize, now: &Now<'_>, trial: Trial, look: &Pose, poses: &[Pose]) -> Trial {
         let mut there = poses.to_vec();
-        there[i] = trial.pose;
-        match self.moved_to_rendering(i, now, &there, trial.evidence.likeness) {
-            Some((moved, likeness)) => moved.with_likeness(Some(likeness)),
-            None => trial,
+        let mut best = trial;
+        for start in [trial.pose, *look] {
+            there[i] = start;
+            let moved = self.moved_to_rendering(i, now, &there, trial.evidence.likeness);
+            let moved = moved.map(|(moved, likeness)| moved.with_likeness(Some(likeness)));
+            if let Some(moved) = moved.filter(|m| m.confidence > best.confidence) {
+                best = moved;
+            }
         }
+        best
     }
 
     /// The pose that a rendering of the mesh leads to, and how like the picture the mesh is there, if that is at least `least`.
