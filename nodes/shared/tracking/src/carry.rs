@@ -43,6 +43,7 @@ impl Tracker {
             let gap_s = if followed.is_some() { self.config.frame_s } else { now.gap_s };
             let trial = self.try_at(i, &Now { gap_s, ..*now }, &start, poses);
             let Some(own) = best.filter(|_| self.tracks[i].known) else {
+                self.log(now, correction, (None, &trial), "begun");
                 best = Some(self.begin(i, now, trial));
                 self.consider(i, start);
                 continue;
@@ -51,6 +52,7 @@ impl Tracker {
                 self.consider(i, start);
             }
             if self.near(i, &own.pose, &trial.pose) {
+                self.log(now, correction, (Some(&own), &trial), "there");
                 self.note_look(i, correction, LookOutcome::There);
                 continue;
             }
@@ -60,12 +62,13 @@ impl Tracker {
             }
             let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
             if search && (trial.confidence > own.confidence || given_up) {
+                self.log(now, correction, (Some(&own), &trial), "begun anew");
                 let others = std::mem::take(&mut self.tracks[i].others);
                 best = Some(self.begin(i, now, trial));
                 self.tracks[i].others = others;
             } else if !search {
                 let taken = self.takes_look(i, exact, (&own, &trial), correction);
-                self.log_look(now, correction, (&own, &trial), taken);
+                self.log(now, correction, (Some(&own), &trial), if taken { "taken" } else { "not taken" });
                 self.note_look(i, correction, if taken { LookOutcome::Elsewhere } else { LookOutcome::NotTaken });
                 if taken {
                     self.jump(i, &own.pose, &trial.pose);
@@ -144,20 +147,18 @@ impl Tracker {
     }
 
     /// For whoever asks why an object was not put right.
-    fn log_look(&self, now: &Now<'_>, look: &Correction, (own, trial): (&Trial, &Trial), taken: bool) {
+    fn log(&self, now: &Now<'_>, said: &Correction, (own, trial): (Option<&Trial>, &Trial), outcome: &str) {
         let say = |t: &Trial| {
             let e = t.evidence;
             format!("{:.2} (contour {:.2}, likeness {:.2})", t.confidence, e.of_contour(), e.likeness)
         };
+        let (frame, age) = (now.frame.index, now.frame.index.saturating_sub(said.frame));
+        let own = own.map_or("nothing".into(), say);
         log::debug!(
-            "frame {}, object {}: {:?} of frame {} {}: {}, own {}",
-            now.frame.index,
-            look.object_id,
-            look.kind,
-            look.frame,
-            if taken { "taken" } else { "not taken" },
-            say(trial),
-            say(own),
+            "frame {frame}, object {}: {:?}, {age} frames old, {outcome}: {}, own {own}",
+            said.object_id,
+            said.kind,
+            say(trial)
         );
     }
 
