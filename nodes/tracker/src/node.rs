@@ -245,10 +245,10 @@ impl Node for TrackerNode {
         if let Some(sent) = self.sent.iter().find(|sent| sent.key.index == index) {
             self.looks.absorb(inputs, self.replay)?;
             self.found.absorb(inputs, self.replay)?;
-            return send(outputs, sent);
+            return send(outputs, sent, self.replay);
         }
         let sent = self.follow(inputs)?;
-        send(outputs, &sent)?;
+        send(outputs, &sent, self.replay)?;
         self.sent.push_back(sent);
         if self.sent.len() > REMEMBERED {
             self.sent.pop_front();
@@ -257,9 +257,12 @@ impl Node for TrackerNode {
     }
 }
 
-fn send(outputs: &mut dyn Outputs, sent: &Sent) -> Result<(), NodeError> {
+/// Live, nothing is asked for where nothing is wanted: empty requests would push those aside that the network is still busy with.
+fn send(outputs: &mut dyn Outputs, sent: &Sent, replay: bool) -> Result<(), NodeError> {
     let (scene_id, image_id) = sent.image;
-    for (port, poses) in [(&POSES, &sent.poses), (&REQUESTS, &sent.requests)] {
+    let asks = replay || !sent.requests.is_empty();
+    let requests = asks.then_some((&REQUESTS, &sent.requests));
+    for (port, poses) in std::iter::once((&POSES, &sent.poses)).chain(requests) {
         port.send(outputs, sent.key, ObjectPoses::byte_len(poses.len()), &mut |bytes| {
             ObjectPoses::write(bytes, scene_id, image_id, poses);
         })?;

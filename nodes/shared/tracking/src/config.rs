@@ -63,7 +63,7 @@ pub struct TrackingConfig {
     pub budget_ms: f64,
     /// CPU time that one look takes, milliseconds.
     pub look_ms: f64,
-    /// Looks that may be on their way at a time.
+    /// Objects that are asked for at a time; the next are when these looks have come.
     pub looks_at_once: usize,
     /// A look with this score makes what was found a track at once, 0..1; with a smaller one a second look from there must agree.
     pub sure_score: f64,

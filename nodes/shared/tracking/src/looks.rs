@@ -37,9 +37,11 @@ impl Budget {
 /// The tracks to be looked at in this frame, the most urgent first.
 pub(crate) fn wanted(tracks: &[Track], now_ns: i64, config: &TrackingConfig) -> Vec<usize> {
     let since = |ns: Option<i64>| ns.map_or(f64::INFINITY, |ns| (now_ns - ns) as f64 * 1e-9);
-    let on_their_way = tracks.iter().filter(|t| since(t.asked_ns) < config.look_timeout_s).count();
-    let free = config.looks_at_once.saturating_sub(on_their_way);
     let waiting = |t: &Track| since(t.asked_ns) < config.look_timeout_s;
+    // Newest wins in a live graph: a second request would push aside the one that the network has not begun with.
+    if tracks.iter().any(waiting) {
+        return Vec::new();
+    }
     let urgency = |t: &Track| {
         let age_s = since(t.looked_ns);
         let (due_s, weight) = match (t.measured, t.phase) {
@@ -48,10 +50,10 @@ pub(crate) fn wanted(tracks: &[Track], now_ns: i64, config: &TrackingConfig) -> 
             (_, Phase::Lost) => (config.look_again_s * 2.0, 2.0),
             _ => (config.look_again_s, 4.0),
         };
-        (t.known && !waiting(t) && age_s >= due_s).then(|| weight * age_s.min(100.0) / due_s)
+        (t.known && age_s >= due_s).then(|| weight * age_s.min(100.0) / due_s)
     };
     let mut ranked: Vec<(f64, usize)> =
         tracks.iter().enumerate().filter_map(|(i, t)| urgency(t).map(|u| (u, i))).collect();
     ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    ranked.into_iter().take(free).map(|(_, i)| i).collect()
+    ranked.into_iter().take(config.looks_at_once).map(|(_, i)| i).collect()
 }
