@@ -12,7 +12,7 @@ SPARSE = '{"budget_ms":150,"look_ms":30,"looks_at_once":5,"look_every_s":0.3,"lo
 
 def tracking(run):
     """The tracker alone, from the rough poses of the first frame."""
-    sparse = lambda hz: ["--looks", REFINER, "--hz", hz, "--delay", "1", "--config", SPARSE]
+    sparse = lambda hz: ["--looks", REFINER, "--hz", hz, "--delay", "1", "--look-score", "0.3", "--config", SPARSE]
     rows = {
         "dense": ("dense test sequence, 30 Hz, five objects", "dense/test/000001", "tabletop/models", ["--looks", REFINER]),
         "dense_alone": ("the same without any look of the network", "dense/test/000001", "tabletop/models", []),
