@@ -127,6 +127,16 @@ fn a_frame_waits_for_the_looks_of_an_earlier_one_in_replay_alone() {
 }
 
 #[test]
+fn live_nothing_is_asked_for_where_nothing_is_wanted() {
+    for replay in [true, false] {
+        let mut node = TrackerNode::create(config(), &context(replay)).unwrap();
+        let out = sent(&mut node, &frame(0, &[]));
+        assert_eq!(out.bytes("requests").is_some(), replay);
+        assert!(out.bytes("poses").is_some() && out.bytes("status").is_some());
+    }
+}
+
+#[test]
 fn a_frame_that_comes_again_gets_what_it_got() {
     let mut node = TrackerNode::create(config(), &context(true)).unwrap();
     let first: Vec<InMemory> = (0..2).map(|i| sent(&mut node, &frame(i, &[]))).collect();

@@ -333,6 +333,36 @@ mod tests {
     }
 
     #[test]
+    fn a_look_that_does_not_believe_itself_moves_a_track_only_where_the_picture_shows_the_object() {
+        let tracker = started(12);
+        let seen = tracker.tracks[0].evidence;
+        let hidden = Evidence { agreement: 0.05, texture: 0.0, ..seen };
+        let takes = |evidence: Evidence, confidence: f64, own: f64| {
+            let kind = CorrectionKind::Look { accepted: false, score: 0.1 };
+            let correction = Correction { object_id: 4, frame: 11, camera_from_object: tracker.tracks[0].pose, kind };
+            let (own, look) = (
+                Trial { confidence: own, ..tracker_trial(&tracker) },
+                Trial { evidence, confidence, ..tracker_trial(&tracker) },
+            );
+            tracker.takes_look(0, false, (&own, &look), &correction)
+        };
+        assert!(takes(seen, 0.9, 0.1), "the picture shows it there and not here");
+        assert!(!takes(seen, 0.2, 0.1), "the best of two bad ones");
+        assert!(!takes(seen, 0.8, 0.9), "the track is surer");
+        assert!(!takes(hidden, 0.9, 0.1), "nothing is seen there");
+    }
+
+    fn tracker_trial(tracker: &Tracker) -> Trial {
+        let track = &tracker.tracks[0];
+        Trial {
+            pose: track.pose,
+            information: Matrix6::zeros(),
+            evidence: track.evidence,
+            confidence: track.confidence,
+        }
+    }
+
+    #[test]
     fn a_look_is_brought_here_by_the_motion_that_was_measured() {
         let tracker = started(12);
         let then = tracker.tracks[0].history.at(8).unwrap().pose;

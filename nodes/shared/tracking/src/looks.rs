@@ -57,3 +57,30 @@ pub(crate) fn wanted(tracks: &[Track], now_ns: i64, config: &TrackingConfig) -> 
     ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     ranked.into_iter().take(config.looks_at_once).map(|(_, i)| i).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_next_looks_are_asked_for_when_the_last_have_come() {
+        let config = TrackingConfig::default();
+        let s = |s: f64| (s * 1e9) as i64;
+        let track = |looked_ns: Option<i64>, disputed: bool| {
+            let base = Track { known: true, measured: true, phase: Phase::Tracking, ..Track::new(0) };
+            Track { looked_ns, disputed, ..base }
+        };
+        let now = s(100.0);
+        let agreed = |since: f64| track(Some(now - s(since)), false);
+        let disputed = track(Some(now - s(0.5)), true);
+        assert_eq!(
+            wanted(&[agreed(0.5), disputed.clone(), agreed(2.0)], now, &config),
+            [1, 2],
+            "the most urgent first"
+        );
+        let asked = Track { asked_ns: Some(now - s(0.3)), ..agreed(0.3) };
+        assert!(wanted(&[asked.clone(), disputed.clone()], now, &config).is_empty());
+        let given_up = Track { asked_ns: Some(now - s(2.0)), ..asked };
+        assert_eq!(wanted(&[given_up, disputed], now, &config)[0], 1);
+    }
+}

@@ -129,5 +129,8 @@ mod tests {
         assert_eq!(common.members, [true, true, false, true]);
         assert!((common.motion.to_homogeneous() - motion.to_homogeneous()).norm() < 1e-9);
         assert!(common_motion(&bodies[2..3], &K).is_none(), "one alone may have been moved");
+        let alone = motion_of(&bodies[3..], &K).unwrap();
+        assert!((alone.to_homogeneous() - motion.to_homogeneous()).norm() < 1e-9, "unless it is known to be at rest");
+        assert!(motion_of(&[], &K).is_none());
     }
 }

@@ -1,9 +1,11 @@
 //! A spotted box before a busy wall, rendered: its truth is known.
 
+use crate::measure::{Measurer, Subject};
 use crate::testing::spotted;
+use crate::texture::{Maker, Pyramid};
 use crate::{Correction, CorrectionKind, Frame, FrameProblem, KnownObject, Phase, Step, Tracker, TrackingConfig};
 use nalgebra::{Vector3, Vector6};
-use pseudoflow_contour::{ContourModel, ModelSettings, retract};
+use pseudoflow_contour::{ContourModel, Image, ModelSettings, retract};
 use pseudoflow_geometry::{Intrinsics, Pose, rotation_angle_rad};
 use pseudoflow_imaging::RgbImage;
 use pseudoflow_imaging::raster::{Background, Headlight, Item, Rendering, Scene, Scratch, render_scene};
@@ -235,4 +237,23 @@ fn a_look_that_moves_it_far_makes_a_track_when_it_is_very_sure_or_a_second_agree
 #[test]
 fn a_tracker_needs_an_object() {
     assert!(Tracker::new(Vec::new(), TrackingConfig::default()).is_err());
+}
+
+#[test]
+fn the_mesh_itself_puts_a_wrong_turn_right_that_was_learnt() {
+    let rgb = picture(0, false);
+    let pyramid = Pyramid::new(&rgb);
+    let object = object();
+    let anchored = |start: &Pose| {
+        let item = Item { mesh: &object.mesh, camera_from_object: *start };
+        let keyframe = Maker::default().rendered(&pyramid, &[item], &K).unwrap();
+        let image = Image { rgb: &rgb, intrinsics: K };
+        let subject = Subject { image, object, hiders: &[], pyramid: &pyramid, gap_s: 0.5 };
+        Measurer::new(&TrackingConfig::default()).unwrap().anchored(&subject, start, &keyframe)
+    };
+    let turned = truth(0) * Pose::rotation(Vector3::new(0.12, 0.08, 0.0));
+    let righted = anchored(&turned).expect("more of the mesh agrees elsewhere");
+    let error_deg = |pose: &Pose| rotation_angle_rad(pose, &truth(0)).to_degrees();
+    assert!(error_deg(&righted) < 0.3 * error_deg(&turned), "{} of {}", error_deg(&righted), error_deg(&turned));
+    assert!(anchored(&truth(0)).is_none(), "nothing to be put right");
 }

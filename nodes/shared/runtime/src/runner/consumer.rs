@@ -174,7 +174,7 @@ fn work<N: Node>(
         None => node.process(frame, &mut NoOutputs, context)?,
         Some(outputs) => {
             node.process(frame, outputs, context)?;
-            outputs.end()?;
+            outputs.end_transform()?;
         }
     }
     Ok(Handled::Done(N::objects(frame)))

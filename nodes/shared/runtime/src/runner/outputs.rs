@@ -13,7 +13,7 @@ pub(crate) enum OutputError {
     Unknown(String),
     #[error("output `{0}` was sent twice for one frame: send each output once")]
     Twice(&'static str),
-    #[error("output `{0}` was not sent: send every connected output for every frame, empty if need be")]
+    #[error("output `{0}` was not sent: in replay send every connected output for every frame, empty if need be")]
     Missing(&'static str),
     #[error("output `{0}` was sent while taking results in: a source sends in `produce` or `poll`")]
     Source(String),
@@ -24,6 +24,7 @@ pub(crate) enum OutputError {
 /// All outputs of a node, one message of each per frame.
 pub(super) struct IpcOutputs {
     ports: Vec<OutPort>,
+    /// Live: outputs may be left out.
     may_skip: bool,
     /// Live sources: keep messages back until [`IpcOutputs::release`].
     pub(super) hold: bool,
@@ -61,13 +62,19 @@ impl IpcOutputs {
         self.ports.iter_mut().for_each(|port| port.sent = false);
     }
 
-    /// Ends a frame: every port that somebody joins must have been sent. Live, nobody waits for one that was not: it has no work.
+    /// Ends a frame: every port that somebody joins must have been sent.
     pub(super) fn end(&self) -> Result<(), OutputError> {
-        if self.may_skip {
-            return Ok(());
-        }
         let missing = self.ports.iter().find(|port| port.joined && !port.sent);
         missing.map_or(Ok(()), |port| Err(OutputError::Missing(port.name)))
+    }
+
+    /// The same for a node that takes frames in. Live, what it did not send is given up for this frame: it asks for no work there, and
+    /// must not push work aside.
+    pub(super) fn end_transform(&mut self) -> Result<(), NodeError> {
+        if self.may_skip {
+            return Ok(self.void()?);
+        }
+        Ok(self.end()?)
     }
 
     /// Key of the frame that is held back or being sent.

@@ -16,6 +16,7 @@ nodes:
 
 pub(crate) fn tests() -> Vec<Trial> {
     vec![
+        test("live::what_asks_for_no_work_need_not_be_sent", outputs_may_be_left_out),
         test("live::the_newest_wins_and_drops_are_counted", newest_wins),
         test("live::a_graph_that_keeps_up_keeps_its_frames", keeps_up),
         test("live::deaths_cost_frames_but_not_the_run", deaths_cost_frames),
@@ -50,6 +51,24 @@ fn run_and_count_lost(scene: &Scene, frames: u64) -> (Summary, u64) {
     let lost: u64 = summary.nodes.iter().map(|node| node.drops).sum();
     assert_eq!(kept.len() as u64 + lost, frames, "every frame is either kept or counted: {summary}");
     (summary, lost)
+}
+
+/// A learner sends every fifth frame alone: the others are given up for those who join it, and the camera goes on.
+fn outputs_may_be_left_out() {
+    let scene = Scene::new(
+        "
+mode: live
+window: 2
+nodes:
+  camera:  {kind: ticker, config: {frames: 60, period_ms: 10}}
+  learner: {kind: learner, inputs: {numbers: camera/numbers}}
+  sink:    {kind: keeper, inputs: {numbers: learner/weights, more: camera/numbers}}
+",
+    );
+    let summary = scene.run();
+    let kept = indices(&scene);
+    assert!(!kept.is_empty() && kept.iter().all(|index| index.is_multiple_of(5)), "{kept:?}");
+    assert!(node(&summary, "camera").frames > 20, "{summary}");
 }
 
 fn newest_wins() {
