@@ -18,6 +18,7 @@ use pseudoflow_msgs::{AlignedBytes, CameraFrame, CameraFrameHeader, FrameKey, Ob
 use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
+use pseudoflow_tracker::TrackerNodeConfig;
 use pseudoflow_tracking::Look;
 use pseudoflow_tracking::{Correction, CorrectionKind, Estimate, Frame, KnownObject, Tracker, TrackingConfig};
 use std::collections::{BTreeMap, VecDeque};
@@ -226,7 +227,10 @@ impl Network {
             flow: FlowNode::create(flow, &context).unwrap(),
             pnp: PnpNode::create(pnp, &context).unwrap(),
             context,
-            least_score: arguments.options.get("look-score").map_or(0.7, |v| v.parse().unwrap()),
+            least_score: arguments
+                .options
+                .get("look-score")
+                .map_or_else(|| TrackerNodeConfig::new(arguments.models.clone()).look_score, |v| v.parse().unwrap()),
         }
     }
 

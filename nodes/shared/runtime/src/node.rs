@@ -223,7 +223,8 @@ pub trait Inputs {
 /// Where a node's messages go.
 pub trait Outputs {
     /// Sends a message of `len` bytes; `fill` writes it in place (zeroed or not: write all of it). A port that
-    /// the graph leaves open costs nothing: `fill` is not called.
+    /// the graph leaves open costs nothing: `fill` is not called. In replay every connected output is sent for every frame; live, one
+    /// that is left out is given up for that frame, so that frames without work do not push work aside.
     ///
     /// # Errors
     /// When no memory could be had or the port does not exist.

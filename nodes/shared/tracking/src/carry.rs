@@ -101,13 +101,13 @@ impl Tracker {
         if sure && look.evidence.seen() >= self.config.min_seen {
             return true;
         }
-        let tracked = self.tracks[i].phase == Phase::Tracking;
-        if tracked && matches!(correction.kind, CorrectionKind::Look { accepted: false, .. }) {
+        let accepted = matches!(correction.kind, CorrectionKind::Look { accepted: true, .. });
+        if self.tracks[i].phase == Phase::Tracking && !accepted {
             // A look that does not believe itself, mostly of what is hidden: only where the picture shows the object there and not here.
             let shown = look.confidence >= self.config.min_confidence && look.evidence.seen() >= self.config.min_seen;
             return shown && look.confidence > own.confidence + ALIKE;
         }
-        self.prefers(own, look, correction, tracked)
+        self.prefers(own, look, accepted)
     }
 
     /// Whether a track is followed in this frame, as `own` says.
@@ -146,19 +146,19 @@ impl Tracker {
         }
     }
 
-    /// For whoever asks why an object was not put right.
+    /// Says what became of a correction, for whoever asks why an object was not put right.
     fn log(&self, now: &Now<'_>, said: &Correction, (own, trial): (Option<&Trial>, &Trial), outcome: &str) {
         let say = |t: &Trial| {
             let e = t.evidence;
             format!("{:.2} (contour {:.2}, likeness {:.2})", t.confidence, e.of_contour(), e.likeness)
         };
         let (frame, age) = (now.frame.index, now.frame.index.saturating_sub(said.frame));
-        let own = own.map_or("nothing".into(), say);
         log::debug!(
-            "frame {frame}, object {}: {:?}, {age} frames old, {outcome}: {}, own {own}",
+            "frame {frame}, object {}: {:?}, {age} frames old, {outcome}: {}, own {}",
             said.object_id,
             said.kind,
-            say(trial)
+            say(trial),
+            own.map_or("nothing".into(), say)
         );
     }
 
@@ -240,15 +240,12 @@ impl Tracker {
         Apart { diameters: (a * middle - b * middle).norm() / object.diameter_m, rad: rotation_angle_rad(a, b) }
     }
 
-    /// Whether what was found elsewhere goes before what was predicted. Textures are those of the prediction's own keyframes, so
+    /// Whether what a look has seen elsewhere goes before what was predicted. Textures are those of the prediction's own keyframes, so
     /// contours are compared, and renderings of the mesh with the picture.
-    pub(crate) fn prefers(&self, own: &Trial, other: &Trial, correction: &Correction, tracked: bool) -> bool {
+    fn prefers(&self, own: &Trial, other: &Trial, accepted: bool) -> bool {
         let (before, after) = (own.evidence.of_contour(), other.evidence.of_contour());
         let enough = other.evidence.seen() >= self.config.min_seen;
-        let trusted = matches!(correction.kind, CorrectionKind::Look { accepted: true, .. }) || !tracked;
-        let sure = other.confidence >= self.config.min_confidence;
-        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE && (trusted || sure)
-        {
+        if own.confidence < self.config.min_confidence && other.confidence > own.confidence + ALIKE {
             return true;
         }
         let told = own.evidence.contrast.min(other.evidence.contrast) > TELLING;
@@ -256,11 +253,8 @@ impl Tracker {
         if gain.abs() > ALIKE {
             return gain > 0.0 && enough;
         }
-        match correction.kind {
-            CorrectionKind::Look { accepted: true, .. } => enough && after > before - LOOK_BONUS,
-            CorrectionKind::Look { accepted: false, .. } => enough && after > before + LOOK_BONUS,
-            CorrectionKind::Found => enough && after > before,
-        }
+        let bonus = if accepted { LOOK_BONUS } else { -LOOK_BONUS };
+        enough && after > before - bonus
     }
 }
 
@@ -316,7 +310,7 @@ mod tests {
         let mut tracker = started(12);
         tracker.tracks[0].verified = true;
         let evidence = Evidence { likeness: 0.8, contrast: 0.7, ..tracker.tracks[0].evidence };
-        let own = Trial { pose: tracker.tracks[0].pose, information: Matrix6::zeros(), evidence, confidence: 0.7 };
+        let own = Trial { evidence, confidence: 0.7, ..tracker_trial(&tracker) };
         let seen = Trial { evidence: Evidence { likeness: 0.6, ..evidence }, confidence: 0.4, ..own };
         let hidden = Trial { evidence: Evidence::default(), ..seen };
         let turned = Trial { pose: own.pose * Pose::rotation([0.0, 0.0, 3.1].into()), ..seen };

@@ -16,6 +16,7 @@
 //! newest replaces the older. A node with several whole frames before it takes the newest. Both are counted as
 //! drops. Frames that died with a node are forgotten when its successor is ready. A frame that a node cannot use
 //! ([`BadInput`](crate::BadInput)) is counted there; an empty message marked as void tells those who join it, and theirs.
+//! So does an output that a node leaves out: there is no work for that frame.
 
 mod complaints;
 mod consumer;
