@@ -4,14 +4,15 @@
 
 The detector takes DELAY seconds for an answer and then takes up the newest image; with `rectangles` it says where an object is in the image,
 not how it is turned. Every pose must carry the stamp of an image that was
-sent and that image's optical frame, and lie where an object can; object_pose must stay with one object. At least as many frames
-must come back as there were answers, less a tenth and the first two, and every object must have its name. Of rectangles, whose search
-takes seconds, thirty frames must come back; FRAMES is then the most that is played.
+sent and that image's optical frame, and lie where an object can; object_pose must stay with one object until that has been lost for
+5 s (`switch_after_s`). At least as many frames must come back as there were answers, less a tenth and the first two, and every object
+must have its name. Of rectangles, whose search takes seconds, thirty frames must come back; FRAMES is then the most that is played.
 """
 
 import os
 import sys
 import time
+from itertools import pairwise
 
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
@@ -27,6 +28,7 @@ import cyclone_types as ros
 FRAME = "camera_optical_live"
 NAMES = ["cracker_box", "mustard_bottle", "power_drill", "tomato_soup_can", "foam_brick"]
 FRAMES_OF_RECTANGLES = 30
+SWITCH_AFTER_NS = 5 * 10**9  # the bridge's switch_after_s
 QOS = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.Durability.Volatile, Policy.History.KeepLast(10))
 
 
@@ -103,7 +105,7 @@ def main():
         assert time.monotonic() < deadline, "the live graph was not found within 90 s"
         time.sleep(0.05)
     time.sleep(1.0)
-    sent, got, objects, followed = set(), [], set(), set()
+    sent, got, objects, followed = set(), [], set(), {}
     answers, busy = 0, None
 
     def receive():
@@ -116,7 +118,7 @@ def main():
             objects.update(d.results[0].hypothesis.class_id for d in sample.detections)
         for name, reader in own.items():
             at = {(s.header.stamp.ns, s.pose.pose.position.x) for s in ros.taken(reader)}
-            followed.update(name for stamp, x in at if last.get(stamp) == x)
+            followed.update((stamp, name) for stamp, x in at if last.get(stamp) == x)
 
     for index in range(frames):
         if flat and len(got) >= FRAMES_OF_RECTANGLES:
@@ -140,12 +142,14 @@ def main():
     while time.monotonic() < end:
         receive()
         time.sleep(0.005)
-    print(f"{len(sent)} frames sent, {answers} answers, {len(got)} poses received, objects {sorted(objects)}, one pose: {followed}")
+    print(f"{len(sent)} frames sent, {answers} answers, {len(got)} poses received, objects {sorted(objects)}, one pose: {sorted(set(followed.values()))}")
     assert set(got) <= sent, "a pose has the stamp of no image"
     assert got == sorted(got), "poses out of order"
     assert len(set(got)) >= (FRAMES_OF_RECTANGLES if flat else 0.9 * (answers - 2)), "fewer frames came back than there were answers"
     assert objects and not any(name.isdigit() for name in objects), objects
-    assert len(followed) <= 1, f"object_pose changed its object: {followed}"
+    for (before, left), (stamp, taken_up) in pairwise(sorted(followed.items())):
+        lost_ns = stamp - before
+        assert left == taken_up or lost_ns >= SWITCH_AFTER_NS, f"object_pose went from {left} to {taken_up} after {lost_ns / 1e9} s"
     return 0
 
 
