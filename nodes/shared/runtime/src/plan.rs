@@ -91,6 +91,34 @@ impl Plan {
         sorted(outputs.flat_map(|o| o.joined_by.iter().chain(&o.latest_of)).copied().collect())
     }
 
+    /// Whether somebody must hear that this node has given a frame up: who joins its messages, or what was made of them, with those of
+    /// others would wait for it, and who acknowledges frames would not. Of frames that nobody else knows of nothing need be said: where
+    /// most are left out, the news of them would push aside what is not read at once.
+    pub(crate) fn must_tell_voids(&self, node: usize) -> bool {
+        let derived = self.derived_from(node);
+        let joined = |other: &PlannedNode| -> Vec<bool> {
+            let inputs = other.inputs.iter().filter(|input| !input.latest);
+            inputs.map(|input| input.producer == node || derived[input.producer]).collect()
+        };
+        self.nodes.iter().any(|other| {
+            let joined = joined(other);
+            joined.contains(&true) && (other.acknowledges || joined.contains(&false))
+        })
+    }
+
+    /// Nodes that handle no frame of which this one has sent nothing, and whose messages all come of its own.
+    fn derived_from(&self, node: usize) -> Vec<bool> {
+        let mut derived = vec![false; self.nodes.len()];
+        for _ in &self.nodes {
+            for (i, other) in self.nodes.iter().enumerate().filter(|(i, _)| *i != self.source && *i != node) {
+                let mut joined = other.inputs.iter().filter(|input| !input.latest).peekable();
+                derived[i] =
+                    joined.peek().is_some() && joined.all(|input| input.producer == node || derived[input.producer]);
+            }
+        }
+        derived
+    }
+
     /// Nodes that this one takes anything from.
     pub(crate) fn producers(&self, node: usize) -> Vec<usize> {
         sorted(self.nodes[node].inputs.iter().map(|input| input.producer).collect())

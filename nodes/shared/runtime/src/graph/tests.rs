@@ -55,6 +55,13 @@ kind!(
     [PortSpec::required::<Frame>("frame"), PortSpec::optional::<Poses>("poses"), PortSpec::latest::<Poses>("hint")],
     [PortSpec::required::<Poses>("poses")]
 );
+kind!(
+    Recaller,
+    "recaller",
+    Transform,
+    [PortSpec::required::<Poses>("poses"), PortSpec::optional::<Poses>("more")],
+    [PortSpec::required::<Poses>("poses")]
+);
 kind!(Recorder, "recorder", Sink, [PortSpec::optional::<Frame>("frame"), PortSpec::optional::<Poses>("poses")], []);
 
 fn registry() -> Registry {
@@ -311,4 +318,28 @@ fn a_graph_is_drawn_with_what_flows_between_its_nodes() {
     let fed_back = changed("poses: player/poses", "poses: player/poses, hint: player/poses");
     assert!(mermaid(&parse(&fed_back), &registry()).unwrap().contains("player -.->|poses| refiner"));
     assert!(mermaid(&parse(&changed("kind: refiner", "kind: refinr")), &registry()).is_err());
+}
+
+#[test]
+fn news_of_frames_given_up_go_where_somebody_waits_for_them() {
+    // The tracker leaves most frames out; `looks` joins what it sends with the camera's frames, `looked` only joins what looks sent.
+    let graph = "
+mode: live
+nodes:
+  camera:   {kind: camera}
+  tracker:  {kind: refiner, inputs: {frame: camera/frame, hint: looked/poses}}
+  looks:    {kind: refiner, inputs: {frame: camera/frame, poses: tracker/poses}}
+  network:  {kind: recaller, inputs: {poses: looks/poses}}
+  looked:   {kind: recaller, inputs: {poses: looks/poses, more: network/poses}}
+feedback: [looked/poses]
+";
+    let told = |graph: &str, name: &str| {
+        let plan = crate::plan::Plan::new(&parse(graph), &registry().with::<Recaller>()).unwrap();
+        plan.must_tell_voids(plan.position(name).unwrap())
+    };
+    assert!(told(graph, "tracker"), "`looks` has the frame");
+    assert!(!told(graph, "looks"), "nobody else has heard of the frame");
+    assert!(told(graph, "network"), "`looked` has what looks sent");
+    let kept = graph.replace("feedback", "  recorder: {kind: recorder, inputs: {poses: looked/poses}}\nfeedback");
+    assert!(told(&kept, "looks"), "the recorder acknowledges every frame");
 }

@@ -12,6 +12,8 @@ pub(super) struct Intake {
     latest: Vec<Latest>,
     queued: Vec<Queued>,
     pub(super) join: Join<Received>,
+    /// Frames that were given up on the way.
+    voids: VecDeque<Envelope>,
 }
 
 /// An input of which nothing is given up between two frames. Its messages are copied: their memory goes back at once, so that
@@ -54,14 +56,21 @@ impl Intake {
             }
         }
         let join = Join::new(joined.len(), 2 * plan.window as usize);
-        Ok(Self { joined, latest, queued, join })
+        Ok(Self { joined, latest, queued, join, voids: VecDeque::new() })
     }
 
     /// Takes all that has come.
     pub(super) fn drain(&mut self) -> Result<(), IpcError> {
         for (input, (_, port)) in self.joined.iter().enumerate() {
             while let Some(message) = port.receive()? {
-                self.join.insert(message.envelope().index, input, message);
+                let envelope = *message.envelope();
+                if envelope.void == 0 {
+                    self.join.insert(envelope.index, input, message);
+                } else {
+                    // It must not take the place of a frame that waits for something.
+                    self.join.give_up(envelope.index);
+                    self.voids.push_back(envelope);
+                }
             }
         }
         for latest in &mut self.latest {
@@ -91,9 +100,9 @@ impl Intake {
         self.queued.iter_mut().for_each(|queued| queued.messages.clear());
     }
 
-    /// Takes a frame out that was given up on the way, whole or not.
+    /// The next frame that was given up on the way.
     pub(super) fn take_void(&mut self) -> Option<Envelope> {
-        self.join.take_any(|message| message.envelope().void != 0).map(|(_, message)| *message.envelope())
+        self.voids.pop_front()
     }
 
     /// Takes a whole frame out.

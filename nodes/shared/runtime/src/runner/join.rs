@@ -43,12 +43,9 @@ impl<M> Join<M> {
         self.complete().next().filter(|index| *index <= most)
     }
 
-    /// Takes the first frame out of which any message is as asked; gives that message.
-    pub(super) fn take_any(&mut self, wanted: impl Fn(&M) -> bool) -> Option<(u64, M)> {
-        let has = |messages: &Vec<Option<M>>| messages.iter().flatten().any(&wanted);
-        let index = *self.frames.iter().find(|(_, messages)| has(messages))?.0;
-        let message = self.frames.remove(&index)?.into_iter().flatten().find(wanted)?;
-        Some((index, message))
+    /// Gives a frame up, whole or not; it takes no place.
+    pub(super) fn give_up(&mut self, index: u64) {
+        self.frames.remove(&index);
     }
 
     /// The frames that are whole.
@@ -81,6 +78,17 @@ mod tests {
         assert_eq!((join.first_complete(9), join.complete_newest_first()), (Some(4), vec![5, 4]));
         assert_eq!(join.take(4), Some(vec!["4a", "4b"]));
         assert_eq!((join.drop_below(6), join.first_complete(9)), (1, None));
+    }
+
+    #[test]
+    fn frames_given_up_take_nobodys_place() {
+        let mut join = Join::new(2, 2);
+        join.insert(1, 0, "1a");
+        (2..20).for_each(|index| join.give_up(index));
+        join.insert(1, 1, "1b");
+        join.insert(20, 0, "20a");
+        join.give_up(20);
+        assert_eq!((join.complete_newest_first(), join.drop_below(30)), (vec![1], 1));
     }
 
     #[test]

@@ -26,6 +26,8 @@ pub(super) struct IpcOutputs {
     ports: Vec<OutPort>,
     /// Live: outputs may be left out.
     may_skip: bool,
+    /// Somebody must hear of frames that are given up ([`Plan::must_tell_voids`]).
+    tells_voids: bool,
     /// Live sources: keep messages back until [`IpcOutputs::release`].
     pub(super) hold: bool,
     frame: Option<FrameKey>,
@@ -52,7 +54,8 @@ impl IpcOutputs {
             let (joined, keeps_last) = (!output.joined_by.is_empty(), !output.latest_of.is_empty());
             ports.push(OutPort { name: output.port, publisher, joined, keeps_last, sent: false, held: None });
         }
-        Ok(Self { ports, may_skip: !plan.replay(), hold: false, frame: None, origin_ns: 0, replaced: 0 })
+        let (may_skip, tells_voids) = (!plan.replay(), plan.must_tell_voids(me));
+        Ok(Self { ports, may_skip, tells_voids, hold: false, frame: None, origin_ns: 0, replaced: 0 })
     }
 
     /// Begins a frame; a source does not know its key yet.
@@ -95,9 +98,11 @@ impl IpcOutputs {
         Ok(())
     }
 
-    /// Tells those who join a port that the frame of [`Self::begin`] is given up, where it was not sent yet.
+    /// Tells those who join a port that the frame of [`Self::begin`] is given up, where it was not sent yet; but where nothing was sent of
+    /// it and nobody else knows of it.
     pub(super) fn void(&mut self) -> Result<(), IpcError> {
-        let Some(key) = self.frame else { return Ok(()) };
+        let begun = self.ports.iter().any(|port| port.joined && port.sent);
+        let Some(key) = self.frame.filter(|_| begun || self.tells_voids) else { return Ok(()) };
         let envelope = Envelope { void: 1, ..envelope(key, self.origin_ns) };
         for port in self.ports.iter_mut().filter(|port| port.joined && !port.sent) {
             if let Some(publisher) = &port.publisher {

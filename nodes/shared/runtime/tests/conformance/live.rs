@@ -17,6 +17,7 @@ nodes:
 pub(crate) fn tests() -> Vec<Trial> {
     vec![
         test("live::what_asks_for_no_work_need_not_be_sent", outputs_may_be_left_out),
+        test("live::what_a_slow_node_works_on_waits_for_it", work_waits),
         test("live::the_newest_wins_and_drops_are_counted", newest_wins),
         test("live::a_graph_that_keeps_up_keeps_its_frames", keeps_up),
         test("live::deaths_cost_frames_but_not_the_run", deaths_cost_frames),
@@ -69,6 +70,25 @@ nodes:
     let kept = indices(&scene);
     assert!(!kept.is_empty() && kept.iter().all(|index| index.is_multiple_of(5)), "{kept:?}");
     assert!(node(&summary, "camera").frames > 20, "{summary}");
+}
+
+/// While a node is busy with a frame, many come by that were left out: they take nobody's place who waits for it.
+fn work_waits() {
+    let scene = Scene::new(
+        "
+mode: live
+window: 2
+nodes:
+  camera:  {kind: ticker, config: {frames: 60, period_ms: 30}}
+  learner: {kind: learner, inputs: {numbers: camera/numbers}}
+  slow:    {kind: mixer, inputs: {a: learner/weights}, config: {delay_ms: 100}}
+  pair:    {kind: mixer, inputs: {a: learner/weights, b: slow/mixed}}
+  sink:    {kind: keeper, inputs: {numbers: pair/mixed}}
+",
+    );
+    let summary = scene.run();
+    let (worked, kept) = (node(&summary, "slow").frames, indices(&scene).len() as u64);
+    assert!(worked >= 3 && kept + 2 >= worked, "{kept} of {worked} came through: {summary}");
 }
 
 fn newest_wins() {
