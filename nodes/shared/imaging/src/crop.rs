@@ -1,6 +1,8 @@
 use crate::{BACKGROUND_GREY, RgbImage};
 use nalgebra::Point2;
 use pseudoflow_geometry::Crop;
+use pulp::{Arch, Simd, WithSimd};
+use std::ops::Range;
 
 /// Resamples a frame to a crop through the very map of [`Crop`], so that K' fits what is seen. Outside the frame
 /// lies [`BACKGROUND_GREY`]. See [`resample_with_border`].
@@ -26,21 +28,44 @@ pub fn resample_with_border(image: &RgbImage, crop: &Crop, border: [u8; 3]) -> R
     let first = columns.iter().filter(|t| t.count > 0).map(|t| t.first).min().unwrap_or(0);
     let last = columns.iter().map(|t| t.first + t.count).max().unwrap_or(0).max(first);
     let border = border.map(f32::from);
-    // The colours of a row of the image, and as much more as may be read beyond its end.
-    let own = 3 * (last - first);
-    let mut line = vec![0.0_f32; own + 3 * UNROLLED];
-    let mut sums = vec![[0.0_f32; 4]; size];
-    let mut out = Vec::with_capacity(size * size * 3);
-    for taps in &rows {
-        sum_rows(image, taps, first..last, border, &mut line[..own]);
-        sum_columns(&line, first, &columns, border, &mut sums);
-        out.extend(sums.iter().flat_map(|[r, g, b, _]| [nearest(*r), nearest(*g), nearest(*b)]));
-    }
+    // The fourth number of the last pixel has its place behind it.
+    let mut out = vec![0; size * size * 3 + 1];
+    Arch::new().dispatch(Sums { image, columns, rows, range: first..last, border, out: &mut out });
+    out.pop();
     RgbImage::from_raw(crop.size_px, crop.size_px, out).unwrap_or_default()
 }
 
+/// A crop to be summed up.
+struct Sums<'a> {
+    image: &'a RgbImage,
+    columns: Vec<Taps>,
+    rows: Vec<Taps>,
+    /// Pixels of a row of the image that have a weight.
+    range: Range<usize>,
+    border: [f32; 3],
+    /// `columns` x `rows` pixels, and a number more.
+    out: &'a mut [u8],
+}
+
+impl WithSimd for Sums<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        let Self { image, columns, rows, range, border, out } = self;
+        // The colours of a row of the image, and as much more as may be read beyond its end.
+        let own = 3 * range.len();
+        let mut line = vec![0.0_f32; own + READ];
+        for (y, taps) in rows.iter().enumerate() {
+            sum_rows(image, taps, &range, border, &mut line[..own]);
+            sum_columns(&line, range.start, &columns, border, &mut out[3 * columns.len() * y..]);
+        }
+    }
+}
+
 /// The weighed sum of image rows, of the pixels `range`.
-fn sum_rows(image: &RgbImage, taps: &Taps, range: std::ops::Range<usize>, border: [f32; 3], line: &mut [f32]) {
+#[inline(always)]
+fn sum_rows(image: &RgbImage, taps: &Taps, range: &Range<usize>, border: [f32; 3], line: &mut [f32]) {
     let width = image.width() as usize;
     line.as_chunks_mut::<3>().0.fill(border.map(|b| b * taps.outside));
     for (y, weight) in (taps.first..).zip(&taps.weights[..taps.count]) {
@@ -50,24 +75,24 @@ fn sum_rows(image: &RgbImage, taps: &Taps, range: std::ops::Range<usize>, border
 }
 
 /// The weighed sums of a row's pixels, of which the first in `line` is `first`. Four numbers go at once, as registers hold them: the
-/// last is the next pixel's, and means nothing.
-fn sum_columns(line: &[f32], first: usize, columns: &[Taps], border: [f32; 3], sums: &mut [[f32; 4]]) {
+/// last is the next pixel's, and is written over by it.
+#[inline(always)]
+fn sum_columns(line: &[f32], first: usize, columns: &[Taps], border: [f32; 3], out: &mut [u8]) {
     let [r, g, b] = border;
-    for (sum, taps) in sums.iter_mut().zip(columns) {
-        *sum = [taps.outside * r, taps.outside * g, taps.outside * b, 0.0];
-        if taps.count == 0 {
-            continue;
-        }
-        let mut pixels = &line[3 * (taps.first - first)..];
-        for weights in taps.weights.as_chunks::<UNROLLED>().0 {
-            let (own, rest) = pixels.split_at(3 * UNROLLED);
-            for i in 0..UNROLLED {
-                // The fourth number of the last pixel lies in what comes after.
-                let fourth = if i + 1 < UNROLLED { own[3 * i + 3] } else { 0.0 };
-                let pixel = [own[3 * i], own[3 * i + 1], own[3 * i + 2], fourth];
-                (0..4).for_each(|k| sum[k] += weights[i] * pixel[k]);
+    for (x, taps) in columns.iter().enumerate() {
+        let mut sum = [r, g, b, b].map(|v| taps.outside * v);
+        if taps.count > 0 {
+            let mut pixels = &line[3 * (taps.first - first)..];
+            for weights in taps.weights.as_chunks::<UNROLLED>().0 {
+                let Some(own) = pixels.first_chunk::<READ>() else { break };
+                for (i, weight) in weights.iter().enumerate() {
+                    sum = std::array::from_fn(|k| sum[k] + weight * own[3 * i + k]);
+                }
+                pixels = &pixels[3 * UNROLLED..];
             }
-            pixels = rest;
+        }
+        if let Some(out) = out[3 * x..].first_chunk_mut() {
+            *out = sum.map(nearest);
         }
     }
 }
@@ -78,8 +103,9 @@ fn nearest(value: f32) -> u8 {
     (value + 12_582_912.0).to_bits() as u8
 }
 
-/// Pixels that are summed at a time along a row.
-const UNROLLED: usize = 4;
+/// Pixels that are summed at a time along a row, and the numbers that are read for them.
+const UNROLLED: usize = 2;
+const READ: usize = 3 * UNROLLED + 1;
 
 /// The weights of the image pixels `first..` for one crop pixel along one axis, and the weight that falls outside.
 struct Taps {
