@@ -25,7 +25,7 @@ impl Answer {
         self.rectangles.retain(|rectangle| wanted.contains(&rectangle.object_id));
         let here = |id: &u32| self.rectangles.iter().any(|rectangle| rectangle.object_id == *id);
         let candidates: Vec<u32> = wanted.iter().copied().filter(here).collect();
-        let due = patience.due(&candidates, self.key.stamp_ns);
+        let due = patience.turn(&patience.due(&candidates, self.key.stamp_ns), self.key.stamp_ns);
         self.rectangles.extract_if(.., |rectangle| due.contains(&rectangle.object_id)).collect()
     }
 

@@ -39,28 +39,52 @@ impl Finder {
         self.comparer.as_mut().map_or(Ok(()), |comparer| comparer.prepare_some(objects).map(drop))
     }
 
-    /// The objects in an image, the surest first. With a comparer, which is dear, those are left out that `expected` says of
-    /// where they are seen.
+    /// Where the network sees objects in an image: most of what a search costs whatever is searched for.
+    ///
+    /// # Errors
+    /// What the engine says.
+    pub(crate) fn look(&mut self, image: &RgbImage) -> Result<Seen, InitializerError> {
+        let fit = self.network.fit(image.width(), image.height());
+        let answer = self.network.run(&fit.input(image))?;
+        let groups = group(&votes(&answer, self.config.min_vote as f32));
+        Ok(Seen { groups, ids: answer.object_ids.to_vec(), fit })
+    }
+
+    /// The objects in an image that was looked at, the surest first. With a comparer, which is dear, those are left out that
+    /// `expected` says of where they are seen.
     ///
     /// # Errors
     /// What engine, renderer and solver say.
     pub(crate) fn find(
         &mut self,
+        seen: Seen,
         image: &RgbImage,
         camera: &Intrinsics,
         expected: &dyn Fn(&Object, &Rectangle) -> bool,
         rng: &mut impl Rng,
     ) -> Result<Vec<Detection>, InitializerError> {
-        let fit = self.network.fit(image.width(), image.height());
-        let answer = self.network.run(&fit.input(image))?;
-        let groups = group(&votes(&answer, self.config.min_vote as f32));
-        let ids = answer.object_ids;
+        let Seen { groups, ids, fit } = seen;
         let Some(comparer) = &mut self.comparer else {
-            return detect(&groups, ids, &self.objects, &fit.intrinsics(camera), &self.config, rng);
+            return detect(&groups, &ids, &self.objects, &fit.intrinsics(camera), &self.config, rng);
         };
         let (objects, config) = (&self.objects, &self.config);
-        Search { comparer, objects, config, ids, photograph: Photograph { image, camera }, fit }
+        Search { comparer, objects, config, ids: &ids, photograph: Photograph { image, camera }, fit }
             .find(groups, expected, rng)
+    }
+}
+
+/// What the network's votes say of an image.
+pub(crate) struct Seen {
+    groups: Vec<Vec<Vote>>,
+    /// Objects by class.
+    ids: Vec<u32>,
+    fit: Fit,
+}
+
+impl Seen {
+    /// Whether an object may be in the image.
+    pub(crate) fn shows(&self, object_id: u32, config: &DetectConfig) -> bool {
+        self.groups.iter().any(|votes| self.ids[votes[0].class] == object_id && is_sure(votes, config))
     }
 }
 
@@ -162,7 +186,11 @@ impl<'a> Search<'a> {
 
 /// The groups of votes that are sure enough to be an instance, the surest first.
 fn sure_groups(mut groups: Vec<Vec<Vote>>, config: &DetectConfig) -> Vec<Vec<Vote>> {
-    groups.retain(|votes| votes.len() >= config.min_votes && sureness(votes) >= config.min_score);
+    groups.retain(|votes| is_sure(votes, config));
     groups.sort_by(|a, b| sureness(b).total_cmp(&sureness(a)));
     groups
+}
+
+fn is_sure(votes: &[Vote], config: &DetectConfig) -> bool {
+    votes.len() >= config.min_votes && sureness(votes) >= config.min_score
 }

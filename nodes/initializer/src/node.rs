@@ -1,7 +1,7 @@
 use crate::InitializerError;
 use crate::compare::{CompareConfig, Comparer};
 use crate::detect::{DetectConfig, Detection, Hypothesis, Rectangle};
-use crate::find::Finder;
+use crate::find::{Finder, Seen};
 use crate::memory::{Memory, Sent};
 use crate::network::DetectorNetwork;
 use crate::patience::{Patience, SearchConfig};
@@ -17,6 +17,7 @@ use pseudoflow_runtime::{Context, Draws, Inputs, Node, NodeError, Outputs, Port,
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::time::Instant;
 
 pub(crate) const FRAME: Port<CameraFrame<'static>> = Port::required("frame");
 pub(crate) const WANTED: Port<Wanted<'static>> = Port::optional("wanted");
@@ -119,17 +120,24 @@ impl Following {
 }
 
 impl InitializerNode {
+    /// Looks where objects are in a frame.
+    fn look(&mut self, frame: &CameraFrame<'_>) -> Result<(RgbImage, Seen), NodeError> {
+        let (width, height) = (frame.header.width, frame.header.height);
+        let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
+        let seen = self.finder.look(&image)?;
+        Ok((image, seen))
+    }
+
     /// The objects in a frame, the surest first, but for those to be left out where they are seen.
     fn search(
         &mut self,
         frame: &CameraFrame<'_>,
         key: FrameKey,
+        (image, seen): (RgbImage, Seen),
         leave_out: &dyn Fn(&Object, &Rectangle, &Intrinsics) -> bool,
         context: &Context,
     ) -> Result<Vec<Detection>, NodeError> {
-        let (width, height) = (frame.header.width, frame.header.height);
         let [fx, fy, cx, cy] = frame.header.intrinsics;
-        let image = RgbImage::from_raw(width, height, frame.rgb.to_vec()).ok_or("the frame has too few pixels")?;
         let camera = Intrinsics { fx, fy, cx, cy };
         let preparing = self.finder.preparing();
         let left_out = |object: &Object, there: &Rectangle| {
@@ -137,7 +145,7 @@ impl InitializerNode {
         };
         let named = (frame.header.scene_id, frame.header.image_id);
         let mut rng = self.draws.rng(context, key.index, named, "ransac");
-        let mut found = self.finder.find(&image, &camera, &left_out, &mut rng)?;
+        let mut found = self.finder.find(seen, &image, &camera, &left_out, &mut rng)?;
         // Behind the search, so that what is drawn for one object does not depend on which others are wanted.
         found.retain(|detection| self.only_objects.as_ref().is_none_or(|only| only.contains(&detection.object_id)));
         Ok(found)
@@ -152,23 +160,39 @@ impl InitializerNode {
     ) -> Result<(Vec<ObjectPose>, bool), NodeError> {
         let key = inputs.key();
         if !inputs.is_connected(WANTED.name()) {
-            return Ok((poses(&self.search(frame, key, &|_, _, _| false, context)?), true));
+            let looked = self.look(frame)?;
+            return Ok((poses(&self.search(frame, key, looked, &|_, _, _| false, context)?), true));
         }
         let wanted = WANTED.read(inputs)?.object_ids;
         let preparing = self.finder.preparing();
         self.patience.forget_all_but(wanted);
         let known = |id: &u32| preparing.iter().all(|p| p.object_id != *id);
         let ready: Vec<u32> = wanted.iter().copied().filter(known).collect();
-        let due = self.patience.due(&ready, key.stamp_ns);
-        if due.is_empty() {
+        if self.patience.due(&ready, key.stamp_ns).is_empty() {
             return Ok((Vec::new(), false));
         }
-        let mut found = self.search(frame, key, &|object, _, _| !due.contains(&object.id), context)?;
-        found.retain(|detection| due.contains(&detection.object_id));
-        for id in due {
-            self.patience.searched(id, key.stamp_ns, found.iter().any(|detection| detection.object_id == id));
+        let begun = Instant::now();
+        let looked = self.look(frame)?;
+        let turn = self.take_turns(&ready, key, &looked.1);
+        let mut found = self.search(frame, key, looked, &|object, _, _| !turn.contains(&object.id), context)?;
+        found.retain(|detection| turn.contains(&detection.object_id));
+        for id in &turn {
+            self.patience.searched(*id, key.stamp_ns, found.iter().any(|detection| detection.object_id == *id));
         }
+        let ids: Vec<u32> = found.iter().map(|detection| detection.object_id).collect();
+        log::debug!("frame {}: {turn:?} of {ready:?} searched for, {ids:?} found in {:?}", key.index, begun.elapsed());
         Ok((poses(&found), true))
+    }
+
+    /// Whose turn it is in a frame that was looked at: of those that may be in it the ones that have waited longest. What the frame
+    /// does not show was searched for as well, and cost nothing.
+    fn take_turns(&mut self, ready: &[u32], key: FrameKey, seen: &Seen) -> Vec<u32> {
+        let config = &self.finder.config;
+        let (shown, absent): (Vec<u32>, Vec<u32>) = ready.iter().partition(|id| seen.shows(**id, config));
+        for id in self.patience.due(&absent, key.stamp_ns) {
+            self.patience.searched(id, key.stamp_ns, false);
+        }
+        self.patience.turn(&shown, key.stamp_ns)
     }
 
     /// Predictions for a frame, with a search of the image where the tracks want it.
@@ -189,7 +213,8 @@ impl InitializerNode {
             let expected = |object: &Object, there: &Rectangle, camera: &Intrinsics| {
                 tracker.expects(object, there, camera, key.stamp_ns)
             };
-            let found = self.search(frame, key, &expected, context)?;
+            let looked = self.look(frame)?;
+            let found = self.search(frame, key, looked, &expected, context)?;
             following.tracker.found(&found, key.stamp_ns);
         }
         Ok((predictions(&following.tracker.predict(key.stamp_ns)), searched))

@@ -19,7 +19,7 @@ pub struct SearchConfig {
 
 impl Default for SearchConfig {
     fn default() -> Self {
-        Self { wait_s: 0.25, most_wait_s: 8.0, objects: 1 }
+        Self { wait_s: 0.25, most_wait_s: 2.0, objects: 1 }
     }
 }
 
@@ -69,20 +69,34 @@ impl Patience {
         self.searched.retain(|id, _| wanted.contains(id));
     }
 
-    /// Of these objects those whose turn it is: those that have waited longest.
+    /// Of these objects those that are to be searched for now, the ones that have waited longest first.
     pub(crate) fn due(&self, candidates: &[u32], stamp_ns: i64) -> Vec<u32> {
-        let mut due: Vec<u32> = candidates.iter().copied().filter(|id| self.is_due(*id, stamp_ns)).collect();
-        due.sort_by_key(|id| self.searched.get(id).map(|searched| searched.stamp_ns));
-        due.truncate(self.config.objects);
-        due
+        self.longest_first(candidates.iter().copied().filter(|id| self.is_due(*id, stamp_ns)).collect())
+    }
+
+    /// Of these objects, which an image shows, those whose turn it is. How often they were not found before does not matter now.
+    pub(crate) fn turn(&self, shown: &[u32], stamp_ns: i64) -> Vec<u32> {
+        let rested = |id: &u32| self.seconds_since(*id, stamp_ns).is_none_or(|s| s >= self.config.wait_s);
+        let mut turn = self.longest_first(shown.iter().copied().filter(rested).collect());
+        turn.truncate(self.config.objects);
+        turn
+    }
+
+    fn longest_first(&self, mut ids: Vec<u32>) -> Vec<u32> {
+        ids.sort_by_key(|id| self.searched.get(id).map(|searched| searched.stamp_ns));
+        ids
+    }
+
+    /// Time since the last search for an object; `None` where it was never searched for, or time went back: that is another clock.
+    fn seconds_since(&self, id: u32, stamp_ns: i64) -> Option<f64> {
+        let since_s = (stamp_ns - self.searched.get(&id)?.stamp_ns) as f64 * 1e-9;
+        (since_s >= 0.0).then_some(since_s)
     }
 
     fn is_due(&self, id: u32, stamp_ns: i64) -> bool {
-        let Some(Searched { stamp_ns: last_ns, misses }) = self.searched.get(&id).copied() else { return true };
-        let doublings = misses.saturating_sub(1).min(30) as i32;
-        let wait_s = (self.config.wait_s * 2_f64.powi(doublings)).min(self.config.most_wait_s);
-        // Time that went back is another clock.
-        !(0.0..wait_s).contains(&((stamp_ns - last_ns) as f64 * 1e-9))
+        let Some(since_s) = self.seconds_since(id, stamp_ns) else { return true };
+        let doublings = self.searched[&id].misses.saturating_sub(1).min(30) as i32;
+        since_s >= (self.config.wait_s * 2_f64.powi(doublings)).min(self.config.most_wait_s)
     }
 
     /// Takes down that a frame was searched.
@@ -138,7 +152,17 @@ mod tests {
         let mut patience = Patience::new(SearchConfig { objects: 2, ..SearchConfig::default() });
         patience.searched(1, S, false);
         patience.searched(2, 0, true);
-        assert_eq!(patience.due(&[1, 2, 3], 3 * S), [3, 2]);
+        assert_eq!(patience.due(&[1, 2, 3], 3 * S), [3, 2, 1]);
+        assert_eq!(patience.turn(&[1, 2, 3], 3 * S), [3, 2]);
+    }
+
+    #[test]
+    fn what_an_image_shows_is_not_kept_waiting_by_searches_that_did_not_find_it() {
+        let mut patience = Patience::new(SearchConfig { wait_s: 0.5, most_wait_s: 8.0, objects: 1 });
+        (0..5).for_each(|i| patience.searched(3, i * S, false));
+        assert!(patience.due(&[3], 5 * S).is_empty());
+        assert_eq!(patience.turn(&[3], 5 * S), [3]);
+        assert!(patience.turn(&[3], 4 * S + S / 10).is_empty());
     }
 
     #[test]
