@@ -49,6 +49,8 @@ impl Tracker {
             self.tracks[i].likeness = self.likeness(i, now, &poses[i], &poses);
             if let Some(trial) = self.anchored(i, now, &poses) {
                 trials[i] = Some(trial);
+            } else if let Some(trial) = trials[i].and_then(|own| self.turned(i, now, &own, &poses)) {
+                trials[i] = Some(trial);
             }
         }
     }
@@ -150,7 +152,7 @@ pub(crate) struct Anchoring {
 }
 
 impl Anchoring {
-    fn is_due(&mut self, correlation: f64) -> bool {
+    pub(crate) fn is_due(&mut self, correlation: f64) -> bool {
         if self.skip == 0 || correlation < self.failed_at - WORSE {
             return true;
         }
@@ -158,7 +160,7 @@ impl Anchoring {
         false
     }
 
-    fn note(&mut self, correlation: f64, moved: bool) {
+    pub(crate) fn note(&mut self, correlation: f64, moved: bool) {
         *self = match moved {
             true => Self::default(),
             false => {

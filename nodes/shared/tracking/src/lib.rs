@@ -67,6 +67,7 @@ mod tests;
 mod texture;
 mod track;
 mod tracker;
+mod turned;
 mod types;
 
 pub use config::{TextureConfig, TrackingConfig};

@@ -82,6 +82,21 @@ fn a_moved_object_is_followed_from_a_rough_pose() {
     assert!(seen.estimates[0].measured && seen.estimates[0].confidence > 0.5, "{:?}", seen.estimates[0]);
 }
 
+/// All three half turns of a box have its silhouette; its contour alone stays with the wrong one.
+#[test]
+fn what_was_found_back_to_front_is_turned_round() {
+    for turn in [Vector3::x(), Vector3::y(), Vector3::z()] {
+        let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
+        let wrong =
+            Correction { camera_from_object: truth(0) * Pose::rotation(turn * std::f64::consts::PI), ..found(0) };
+        for i in 0..30 {
+            step(&mut tracker, i, &picture(i, false), &if i == 0 { vec![wrong] } else { Vec::new() });
+        }
+        let angle = rotation_angle_rad(&tracker.tracks[0].pose, &truth(29));
+        assert!(angle < 0.06 && tracker.tracks[0].measured, "half a turn about {turn}: {angle} rad off");
+    }
+}
+
 #[test]
 fn what_is_hidden_is_held_and_lost_after_a_while() {
     let mut tracker = started(12);

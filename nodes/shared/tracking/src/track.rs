@@ -54,6 +54,9 @@ pub(crate) struct Track {
     pub(crate) likeness: Option<Likeness>,
     pub(crate) compared_at: u64,
     pub(crate) anchoring: Anchoring,
+    /// The same for half turns, and how many were tried.
+    pub(crate) turning: Anchoring,
+    pub(crate) turns: usize,
     /// Where those at rest say that it is, when this frame does not show it surely.
     pub(crate) resting: Option<Pose>,
     /// Other poses of what was found, in the last frame: to be looked at once with its own.
@@ -99,6 +102,8 @@ impl Track {
             likeness: None,
             compared_at: 0,
             anchoring: Anchoring::default(),
+            turning: Anchoring::default(),
+            turns: 0,
             resting: None,
             others: Vec::new(),
             verified: false,

@@ -152,7 +152,7 @@ impl Tracker {
     /// The looks that are wanted of a network at the last frame; they count as asked for. An object that was just found may come
     /// several times, at each pose that it was found at: the answer is the best of them.
     pub fn ask(&mut self) -> Vec<Look> {
-        let Some((_, now_ns)) = self.last else { return Vec::new() };
+        let Some((frame, now_ns)) = self.last else { return Vec::new() };
         let wanted = self.budget.spend(looks::wanted(&self.tracks, now_ns, &self.config), &self.config);
         let ask = |i: usize| {
             let track = &mut self.tracks[i];
@@ -161,7 +161,11 @@ impl Tracker {
             let poses = std::iter::once(track.pose).chain(std::mem::take(&mut track.others));
             poses.map(|camera_from_object| Look { object_id, camera_from_object }).collect::<Vec<_>>()
         };
-        wanted.into_iter().flat_map(ask).collect()
+        let looks: Vec<Look> = wanted.into_iter().flat_map(ask).collect();
+        if !looks.is_empty() {
+            log::debug!("frame {frame}: asks for looks at {:?}", looks.iter().map(|l| l.object_id).collect::<Vec<_>>());
+        }
+        looks
     }
 
     /// Every object that was ever found.
