@@ -1,5 +1,6 @@
 //! What was found in an earlier frame, brought to the present.
 
+use crate::evidence::TELLING;
 use crate::follow::{hiders, subject};
 use crate::measure::Trial;
 use crate::rest::{Body, body, motion_of};
@@ -294,8 +295,7 @@ enum LookOutcome {
 const MOST_OTHERS: usize = 12;
 /// How much less sure a contour may be of a pose that a look has found: a look sees what is inside of it.
 const LOOK_BONUS: f64 = 0.2;
-/// Contrast (as in the evidence) from which renderings tell poses apart, and the difference of correlations that does.
-const TELLING: f64 = 0.3;
+/// The difference of correlations that tells poses apart.
 const ALIKE: f64 = 0.04;
 
 #[cfg(test)]

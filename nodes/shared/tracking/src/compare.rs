@@ -10,6 +10,8 @@ use crate::types::KnownObject;
 use pseudoflow_geometry::Pose;
 use pseudoflow_imaging::raster::Item;
 
+/// Frames from one comparison to the next where frames were dropped.
+const LATE_FRAMES: u64 = 6;
 /// Objects are bound to a rendering of their mesh, if it has so much contrast (grey levels). The picture may be less like the mesh
 /// there by so much: on a plain face correlation hangs on light and sharpness more than on a turn of ten degrees.
 const ANCHOR_CONTRAST: f64 = 5.0;
@@ -41,8 +43,14 @@ impl Tracker {
         let there = |i: &usize| trials[*i].is_some_and(|t| t.evidence.lines > 0.0);
         let mut due: Vec<usize> = (0..trials.len()).filter(there).collect();
         due.sort_by_key(|i| self.tracks[*i].compared_at);
-        // After a long gap what was seen before tells little, and where no frame was dropped there is time.
-        let at_most = if self.after_long_gap(now) && !now.late { due.len() } else { 1 };
+        let last = self.tracks.iter().map(|t| t.compared_at).max().unwrap_or(0);
+        let at_most = match now.late {
+            // Whoever is late has little time for it.
+            true => usize::from(now.frame.index >= last + LATE_FRAMES),
+            // After a long gap what was seen before tells little.
+            false if self.after_long_gap(now) => due.len(),
+            false => 1,
+        };
         let poses = poses_of(trials, predicted);
         for i in due.into_iter().take(at_most) {
             self.tracks[i].compared_at = now.frame.index + 1;

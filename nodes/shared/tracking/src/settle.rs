@@ -58,7 +58,8 @@ impl Tracker {
         track.covariance = inverse(&trial.information) * self.config.covariance_scale;
         track.learnt = sure;
         let often = track.good >= CONFIRM_FRAMES || track.good > 1 && trial.confidence >= CONFIRM_CONFIDENCE;
-        if often && trial.confidence >= self.config.min_confidence && (track.verified || !looks_come) {
+        let believed = track.verified || !looks_come || trial.evidence.is_like_the_mesh();
+        if often && trial.confidence >= self.config.min_confidence && believed {
             track.phase = Phase::Tracking;
         }
         if sure || track.colours.is_empty() {
