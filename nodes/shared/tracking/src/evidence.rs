@@ -45,8 +45,8 @@ impl Evidence {
         if self.lines > 0.0 { logistic(sum) } else { 0.0 }
     }
 
-    /// Whether the picture is so like the mesh that no look need say that the pose is right: six of seven such poses of the train side's
-    /// sequences are right to a tenth of the diameter, as of those that a look accepts.
+    /// Whether the picture is so like the mesh that no look need say that the pose is right: of 1374 such poses on sequences of the train
+    /// side, begun from half turns too, 98 in 100 are right to 0.15 of the diameter and 88 to a tenth.
     pub(crate) fn is_like_the_mesh(&self) -> bool {
         self.contrast > TELLING && self.likeness > LIKE_THE_MESH
     }

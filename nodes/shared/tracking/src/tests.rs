@@ -7,9 +7,9 @@ use crate::{Correction, CorrectionKind, Frame, FrameProblem, KnownObject, Phase,
 use nalgebra::{Vector3, Vector6};
 use pseudoflow_contour::{ContourModel, Image, ModelSettings, retract};
 use pseudoflow_geometry::{Intrinsics, Pose, rotation_angle_rad};
-use pseudoflow_imaging::RgbImage;
 use pseudoflow_imaging::raster::{Background, Headlight, Item, Rendering, Scene, Scratch, render_scene};
 use pseudoflow_imaging::shapes::cuboid;
+use pseudoflow_imaging::{Mesh, RgbImage};
 use std::sync::{Arc, OnceLock};
 
 const K: Intrinsics = Intrinsics { fx: 500.0, fy: 500.0, cx: 159.5, cy: 119.5 };
@@ -173,16 +173,29 @@ fn look(frame: u64, accepted: bool, score: f64) -> Correction {
     Correction { object_id: 4, frame, camera_from_object, kind: CorrectionKind::Look { accepted, score } }
 }
 
-#[test]
-fn where_looks_are_answered_only_what_one_confirms_becomes_a_track() {
-    let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
+/// A tracker whose looks are answered follows a box that was found in its first frame; the box is spotted in the picture.
+fn waiting_for_looks(mesh: Mesh, frames: u64) -> Tracker {
+    let known = KnownObject { mesh: Arc::new(mesh), ..object().clone() };
+    let mut tracker = Tracker::new(vec![known], TrackingConfig::default()).unwrap();
     tracker.expect_looks();
-    for i in 0..12 {
-        let seen = step(&mut tracker, i, &picture(i, false), &if i == 0 { vec![found(0)] } else { Vec::new() });
-        assert_eq!(seen.estimates[0].phase, Phase::Searching, "frame {i}");
+    for i in 0..frames {
+        step(&mut tracker, i, &picture(i, false), &if i == 0 { vec![found(0)] } else { Vec::new() });
     }
+    tracker
+}
+
+#[test]
+fn where_looks_are_answered_what_one_confirms_becomes_a_track() {
+    let plain = cuboid([0.11, 0.08, 0.06], [9; 3]).unwrap();
+    let mut tracker = waiting_for_looks(plain, 12);
+    assert_eq!(tracker.tracks[0].phase, Phase::Searching, "its contour alone is not believed");
     let seen = step(&mut tracker, 12, &picture(12, false), &[look(11, true, 0.9)]);
     assert_eq!(seen.estimates[0].phase, Phase::Tracking);
+}
+
+#[test]
+fn what_looks_as_its_mesh_does_waits_for_no_look() {
+    assert_eq!(waiting_for_looks(Mesh::clone(&object().mesh), 12).tracks[0].phase, Phase::Tracking);
 }
 
 #[test]
