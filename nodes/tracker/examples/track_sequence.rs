@@ -4,7 +4,8 @@
 //!
 //! `--looks` runs renderer, flow and pnp on what the tracker asks for; their answer comes `--delay` frames later. Files named
 //! `*.yaml` after `--pnp` are settings of the pnp node, `--config` takes the tracker's as JSON. `--look-score` is the tracker node's
-//! `look_score`. `--search N` gives what is missing its rough pose in every N-th frame, `--delay` frames later.
+//! `look_score`. `--search N` gives what is missing its rough pose in every N-th frame, `--delay` frames later. `--turn x|y|z` begins half
+//! a turn off, about that axis of each object's box.
 
 #![allow(clippy::print_stdout)] // a measuring program talks to people
 
@@ -48,6 +49,14 @@ fn arguments() -> Arguments {
 fn cpu_ms() -> f64 {
     let text = std::fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
     text.split(' ').next().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0) * 1e-6
+}
+
+/// Half a turn about an axis through the middle of an object's box.
+fn half_turn(set: &ObjectSet, id: u32, axis: &str) -> Pose {
+    let middle = set.get(id).unwrap().box_centre_m().coords;
+    let turn = ["x", "y", "z"].map(|name| if name == axis { std::f64::consts::PI } else { 0.0 });
+    let there = Pose::translation(middle.x, middle.y, middle.z);
+    there * Pose::rotation(turn.into()) * there.inverse()
 }
 
 struct Scored {
@@ -111,6 +120,7 @@ fn main() {
         };
         let mut corrections: Vec<Correction> = std::mem::take(&mut waiting);
         if index == 0 {
+            let from = corrections.len();
             match start.as_str() {
                 "truth" => corrections.extend(
                     truths.iter().map(|t| found(t.object_id, true_pose(&t.camera_from_object), CorrectionKind::Found)),
@@ -118,6 +128,9 @@ fn main() {
                 _ => corrections.extend(
                     frame.initial_poses.iter().map(|p| found(p.object_id, p.camera_from_object, CorrectionKind::Found)),
                 ),
+            }
+            if let Some(axis) = arguments.options.get("turn") {
+                corrections[from..].iter_mut().for_each(|c| c.camera_from_object *= half_turn(&set, c.object_id, axis));
             }
         }
         let stamp_ns = (f64::from(frame.image_id) / hz * 1e9) as i64 + 1_000_000_000;
