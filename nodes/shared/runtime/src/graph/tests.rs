@@ -56,6 +56,13 @@ kind!(
     [PortSpec::required::<Poses>("poses")]
 );
 kind!(
+    Follower,
+    "follower",
+    Transform,
+    [PortSpec::required::<Frame>("frame"), PortSpec::late::<Poses>("looks")],
+    [PortSpec::required::<Poses>("poses")]
+);
+kind!(
     Recaller,
     "recaller",
     Transform,
@@ -327,14 +334,15 @@ fn news_of_frames_given_up_go_where_somebody_waits_for_them() {
 mode: live
 nodes:
   camera:   {kind: camera}
-  tracker:  {kind: refiner, inputs: {frame: camera/frame, hint: looked/poses}}
+  tracker:  {kind: follower, inputs: {frame: camera/frame, looks: looked/poses}}
   looks:    {kind: refiner, inputs: {frame: camera/frame, poses: tracker/poses}}
   network:  {kind: recaller, inputs: {poses: looks/poses}}
   looked:   {kind: recaller, inputs: {poses: looks/poses, more: network/poses}}
+  keeper:   {kind: recorder, inputs: {frame: camera/frame}}
 feedback: [looked/poses]
 ";
     let told = |graph: &str, name: &str| {
-        let plan = crate::plan::Plan::new(&parse(graph), &registry().with::<Recaller>()).unwrap();
+        let plan = crate::plan::Plan::new(&parse(graph), &registry().with::<Follower>().with::<Recaller>()).unwrap();
         plan.must_tell_voids(plan.position(name).unwrap())
     };
     assert!(told(graph, "tracker"), "`looks` has the frame");
