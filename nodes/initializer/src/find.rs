@@ -39,7 +39,7 @@ impl Finder {
         self.comparer.as_mut().map_or(Ok(()), |comparer| comparer.prepare_some(objects).map(drop))
     }
 
-    /// Where the network sees objects in an image: most of what a search costs whatever is searched for.
+    /// Where the network sees objects in an image. It costs the same whatever is searched for.
     ///
     /// # Errors
     /// What the engine says.

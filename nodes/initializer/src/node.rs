@@ -174,7 +174,10 @@ impl InitializerNode {
         let begun = Instant::now();
         let looked = self.look(frame)?;
         let turn = self.take_turns(&ready, key, &looked.1);
-        let mut found = self.search(frame, key, looked, &|object, _, _| !turn.contains(&object.id), context)?;
+        let mut found = match turn.is_empty() {
+            true => Vec::new(),
+            false => self.search(frame, key, looked, &|object, _, _| !turn.contains(&object.id), context)?,
+        };
         found.retain(|detection| turn.contains(&detection.object_id));
         for id in &turn {
             self.patience.searched(*id, key.stamp_ns, found.iter().any(|detection| detection.object_id == *id));

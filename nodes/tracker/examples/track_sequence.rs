@@ -20,8 +20,9 @@ use pseudoflow_pnp::{PnpNode, PnpNodeConfig};
 use pseudoflow_renderer::{RendererConfig, RendererNode};
 use pseudoflow_runtime::{Context, InMemory, Node};
 use pseudoflow_tracker::TrackerNodeConfig;
-use pseudoflow_tracking::Look;
-use pseudoflow_tracking::{Correction, CorrectionKind, Estimate, Frame, KnownObject, Tracker, TrackingConfig};
+use pseudoflow_tracking::{
+    Correction, CorrectionKind, Estimate, Frame, KnownObject, Look, Tracker, TrackingConfig, half_turn,
+};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
@@ -49,14 +50,6 @@ fn arguments() -> Arguments {
 fn cpu_ms() -> f64 {
     let text = std::fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
     text.split(' ').next().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0) * 1e-6
-}
-
-/// Half a turn about an axis through the middle of an object's box.
-fn half_turn(set: &ObjectSet, id: u32, axis: &str) -> Pose {
-    let middle = set.get(id).unwrap().box_centre_m().coords;
-    let turn = ["x", "y", "z"].map(|name| if name == axis { std::f64::consts::PI } else { 0.0 });
-    let there = Pose::translation(middle.x, middle.y, middle.z);
-    there * Pose::rotation(turn.into()) * there.inverse()
 }
 
 struct Scored {
@@ -130,7 +123,9 @@ fn main() {
                 ),
             }
             if let Some(axis) = arguments.options.get("turn") {
-                corrections[from..].iter_mut().for_each(|c| c.camera_from_object *= half_turn(&set, c.object_id, axis));
+                let axis = ["x", "y", "z"].iter().position(|name| name == axis).expect("--turn x, y or z");
+                let turn = |id: u32| half_turn(&set.get(id).unwrap().mesh, axis);
+                corrections[from..].iter_mut().for_each(|c| c.camera_from_object *= turn(c.object_id));
             }
         }
         let stamp_ns = (f64::from(frame.image_id) / hz * 1e9) as i64 + 1_000_000_000;

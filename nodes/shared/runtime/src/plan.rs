@@ -52,6 +52,13 @@ pub(crate) struct PlannedOutput {
     pub(crate) latest_of: Vec<usize>,
 }
 
+impl PlannedNode {
+    /// The producers of its inputs that are joined by frame.
+    fn joined_producers(&self) -> impl Iterator<Item = usize> + '_ {
+        self.inputs.iter().filter(|input| !input.latest).map(|input| input.producer)
+    }
+}
+
 impl PlannedOutput {
     pub(crate) fn is_connected(&self) -> bool {
         !(self.joined_by.is_empty() && self.latest_of.is_empty())
@@ -96,24 +103,20 @@ impl Plan {
     /// most are left out, the news of them would push aside what is not read at once.
     pub(crate) fn must_tell_voids(&self, node: usize) -> bool {
         let derived = self.derived_from(node);
-        let joined = |other: &PlannedNode| -> Vec<bool> {
-            let inputs = other.inputs.iter().filter(|input| !input.latest);
-            inputs.map(|input| input.producer == node || derived[input.producer]).collect()
-        };
         self.nodes.iter().any(|other| {
-            let joined = joined(other);
+            let joined: Vec<bool> = other.joined_producers().map(|producer| derived[producer]).collect();
             joined.contains(&true) && (other.acknowledges || joined.contains(&false))
         })
     }
 
-    /// Nodes that handle no frame of which this one has sent nothing, and whose messages all come of its own.
+    /// A node, and those all of whose joined inputs come from these: they handle no frame of which it has sent nothing.
     fn derived_from(&self, node: usize) -> Vec<bool> {
-        let mut derived = vec![false; self.nodes.len()];
+        let mut derived: Vec<bool> = (0..self.nodes.len()).map(|i| i == node).collect();
+        // A node's producers may come after it.
         for _ in &self.nodes {
-            for (i, other) in self.nodes.iter().enumerate().filter(|(i, _)| *i != self.source && *i != node) {
-                let mut joined = other.inputs.iter().filter(|input| !input.latest).peekable();
-                derived[i] =
-                    joined.peek().is_some() && joined.all(|input| input.producer == node || derived[input.producer]);
+            for i in (0..self.nodes.len()).filter(|i| *i != self.source && *i != node) {
+                let mut joined = self.nodes[i].joined_producers().peekable();
+                derived[i] = joined.peek().is_some() && joined.all(|producer| derived[producer]);
             }
         }
         derived

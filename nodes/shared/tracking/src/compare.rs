@@ -14,7 +14,7 @@ use pseudoflow_imaging::raster::Item;
 const LATE_FRAMES: u64 = 6;
 /// Objects are bound to a rendering of their mesh, if it has so much contrast (grey levels). The picture may be less like the mesh
 /// there by so much: on a plain face correlation hangs on light and sharpness more than on a turn of ten degrees.
-const ANCHOR_CONTRAST: f64 = 5.0;
+pub(crate) const ANCHOR_CONTRAST: f64 = 5.0;
 const ANCHOR_LOSS: f64 = 0.05;
 /// A rendering that brought nothing is tried again after 1, 3, then 7 further comparisons of its object, or once the picture is so
 /// much less like the mesh.
@@ -101,7 +101,7 @@ impl Tracker {
             let Self { maker, objects, tracks, .. } = self;
             maker.rendered(now.pyramid, &items(objects, tracks, i, &poses[i], poses), &now.frame.intrinsics)?
         };
-        let wide = Now { gap_s: now.gap_s.max(ANCHOR_GAP_S), ..*now };
+        let wide = now.reaching_far();
         let there = {
             let Self { measurer, objects, tracks, .. } = self;
             measurer.anchored(&subject(&wide, &objects[tracks[i].object], &[]), &poses[i], &keyframe)?
@@ -149,9 +149,16 @@ impl Tracker {
     }
 }
 
-/// When an object is to be moved to a rendering of it again.
+impl Now<'_> {
+    /// The same frame for a start that may be further off than things move from frame to frame.
+    pub(crate) fn reaching_far(&self) -> Self {
+        Self { gap_s: self.gap_s.max(ANCHOR_GAP_S), ..*self }
+    }
+}
+
+/// When what brought nothing is to be tried again: to move an object to a rendering of it, or to turn it.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Anchoring {
+pub(crate) struct Retries {
     /// Comparisons that are still to be left out, and how many were the last time.
     skip: u32,
     skipped: u32,
@@ -159,7 +166,7 @@ pub(crate) struct Anchoring {
     failed_at: f64,
 }
 
-impl Anchoring {
+impl Retries {
     pub(crate) fn is_due(&mut self, correlation: f64) -> bool {
         if self.skip == 0 || correlation < self.failed_at - WORSE {
             return true;

@@ -76,4 +76,5 @@ pub use evidence::Evidence;
 pub use looks::Look;
 pub use track::Phase;
 pub use tracker::Tracker;
+pub use turned::half_turn;
 pub use types::{Correction, CorrectionKind, Estimate, Frame, FrameProblem, KnownObject, Step};

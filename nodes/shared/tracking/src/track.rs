@@ -1,6 +1,6 @@
 //! What is known of one object.
 
-use crate::compare::Anchoring;
+use crate::compare::Retries;
 use crate::evidence::Evidence;
 use crate::history::{History, Velocity};
 use crate::texture::{Keyframe, Likeness};
@@ -53,9 +53,10 @@ pub(crate) struct Track {
     /// How alike its rendering and the picture were when they were compared last, and the frame after that.
     pub(crate) likeness: Option<Likeness>,
     pub(crate) compared_at: u64,
-    pub(crate) anchoring: Anchoring,
-    /// The same for half turns, and how many were tried.
-    pub(crate) turning: Anchoring,
+    /// When a rendering of it is tried again.
+    pub(crate) anchoring: Retries,
+    /// When half turns are tried again, and how many were.
+    pub(crate) turning: Retries,
     pub(crate) turns: usize,
     /// Where those at rest say that it is, when this frame does not show it surely.
     pub(crate) resting: Option<Pose>,
@@ -101,8 +102,8 @@ impl Track {
             at_rest: 0,
             likeness: None,
             compared_at: 0,
-            anchoring: Anchoring::default(),
-            turning: Anchoring::default(),
+            anchoring: Retries::default(),
+            turning: Retries::default(),
             turns: 0,
             resting: None,
             others: Vec::new(),

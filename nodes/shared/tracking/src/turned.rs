@@ -1,6 +1,7 @@
 //! The same silhouette from the other side: a bottle that is followed back to front is followed well by its contour, and a look from there
 //! agrees with it. What tells is the mesh's texture.
 
+use crate::compare::ANCHOR_CONTRAST;
 use crate::measure::Trial;
 use crate::tracker::{Now, Tracker};
 use pseudoflow_geometry::Pose;
@@ -8,28 +9,24 @@ use pseudoflow_imaging::Mesh;
 
 /// A picture as like the mesh as this shows no other side, correlation.
 const LIKE: f64 = 0.7;
-/// A rendering needs so much contrast (grey levels) to tell.
-const CONTRAST: f64 = 5.0;
 /// How much more like the mesh the picture must be at the turned pose, and how like it at least.
 const GAIN: f64 = 0.15;
 const LEAST: f64 = 0.35;
 /// How much less sure the contour may be of the turned pose.
 const CONTOUR_LOSS: f64 = 0.2;
-/// How far off a pose may be that was turned: as far as things move in this time.
-const GAP_S: f64 = 0.5;
 
 impl Tracker {
     /// The object turned by half a turn about an axis of its box, another each time, where the picture is clearly more like the mesh that
     /// way.
     pub(crate) fn turned(&mut self, i: usize, now: &Now<'_>, own: &Trial, poses: &[Pose]) -> Option<Trial> {
-        let before = self.tracks[i].likeness.filter(|l| l.contrast > CONTRAST && l.correlation < LIKE)?;
+        let before = self.tracks[i].likeness.filter(|l| l.contrast > ANCHOR_CONTRAST && l.correlation < LIKE)?;
         if own.evidence.seen() < self.config.min_seen || !self.tracks[i].turning.is_due(before.correlation) {
             return None;
         }
         let axis = self.tracks[i].turns % 3;
         self.tracks[i].turns += 1;
         let start = own.pose * half_turn(&self.objects[self.tracks[i].object].mesh, axis);
-        let trial = self.follow_contour(i, &Now { gap_s: now.gap_s.max(GAP_S), ..*now }, &start, poses);
+        let trial = self.follow_contour(i, &now.reaching_far(), &start, poses);
         let trial = self.compared(i, now, &trial, poses);
         let trial = self.polished(i, now, trial, &start, poses);
         let taken = trial.evidence.likeness > (before.correlation + GAIN).max(LEAST)
@@ -57,8 +54,12 @@ impl Tracker {
     }
 }
 
-/// Half a turn about an axis through the middle of a mesh's box.
-fn half_turn(mesh: &Mesh, axis: usize) -> Pose {
+/// Half a turn about an axis (0: x, 1: y, 2: z) through the middle of a mesh's box: `object_from_turned_object`, metres.
+///
+/// # Panics
+/// When there is no such axis.
+#[must_use]
+pub fn half_turn(mesh: &Mesh, axis: usize) -> Pose {
     let corners = mesh.box_corners_m();
     let middle = (corners[0].coords + corners[7].coords) / 2.0;
     let mut turn = nalgebra::Vector3::zeros();
