@@ -176,7 +176,8 @@ impl Joint {
         Ok((look, if accepted { result.camera_from_object } else { instance.rough }))
     }
 
-    /// The pose that goes out, and how sure it is. Hypotheses of one instance are compared by their cost.
+    /// The pose that goes out, and how sure it is. Hypotheses of one instance are compared by how well flow and picture agree with them;
+    /// without flow by their cost, which says less: it depends on how much of each is seen.
     fn judged(&mut self, instance: &Instance<'_>, result: &JointResult, focal_px: f64) -> Result<Look, NodeError> {
         let features = self.features(instance, result, focal_px)?;
         let verdict = self.model.verdict(&features);
@@ -205,7 +206,8 @@ impl Joint {
             verdict,
             solver_covariance: result.covariance,
         };
-        Ok(Look { pose, merit: -result.cost, refinement: Some(refinement) })
+        let merit = if instance.planes.is_some() { features.merit(accepted) } else { -result.cost };
+        Ok(Look { pose, merit, refinement: Some(refinement) })
     }
 
     fn features(

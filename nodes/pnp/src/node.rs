@@ -1,6 +1,6 @@
 use crate::PnpNodeConfig;
 use crate::crop_solver::CropSolver;
-use crate::gate::{Feature, Features, Gate, StageModel, Verdict};
+use crate::gate::{CERTAINTY_WEIGHT, Feature, Features, Gate, StageModel, Verdict};
 use crate::joint::{Joint, Stages};
 use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use pseudoflow_geometry::{Pose, quaternion_xyzw};
@@ -191,11 +191,6 @@ fn refined_pose(initial: &ObjectPose, found: &PnpResult, status: PoseStatus, sco
         ..*initial
     }
 }
-
-/// What the network's mean certainty counts for among hypotheses, beside inlier ratio, correlation and contrast (each at most 1).
-/// Chosen with searches of tabletop's train split: 0, 1, 2 and 3 find 0.78, 0.80, 0.83 and 0.83 of 110 objects in two looks
-/// (docs/measuring.md).
-const CERTAINTY_WEIGHT: f64 = 2.0;
 
 /// Of several poses of one instance (an initializer may send them) the one with the most merit, the first of equals; ordered by object and instance.
 fn best_of_each(mut looks: Vec<Look>) -> Vec<Look> {

@@ -206,6 +206,18 @@ fn a_model_is_read_strictly() {
 }
 
 #[test]
+fn hypotheses_are_ranked_by_the_pose_that_goes_out() {
+    let features = Features::default()
+        .with(Feature::InlierRatio, 0.5)
+        .with(Feature::PhotometricRefined, 0.7)
+        .with(Feature::SilhouetteRefined, 0.4)
+        .with(Feature::PhotometricInitial, 0.1);
+    assert!((features.merit(true) - 1.6).abs() < 1e-12, "what is not known counts nothing");
+    assert!((features.merit(false) - 0.6).abs() < 1e-12, "a refused pose does not go out");
+    assert!((features.with(Feature::Certainty, 0.25).merit(true) - 2.1).abs() < 1e-12);
+}
+
+#[test]
 fn a_stage_is_learnt_beside_the_others() {
     let mut model = GateModel::load(None).unwrap();
     let (flow, region) = (model.stages[&Stage::Flow].clone(), model.stages[&Stage::Region].clone());

@@ -14,7 +14,7 @@ use super::pool::ObjectPool;
 use super::pose::{Stand, centre_m};
 use super::random::Draw;
 use super::shapes::ShapeBank;
-use super::simple_shapes::{draw_card, draw_shape, finger, sheet};
+use super::simple_shapes::{draw_card, draw_shape, finger, sheet, skin};
 use super::window::Window;
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
@@ -284,8 +284,8 @@ impl<'a> Surroundings<'a> {
 
     /// Two to four parallel fingers that reach over the edge of the object.
     fn add_hand(&self, rng: &mut impl Rng, stock: &Stock<'_>, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
-        let skin = [rng.uniform32(0.35, 0.95), rng.uniform32(0.6, 0.8), rng.uniform32(0.7, 0.95)];
-        let skin = [skin[0], skin[0] * skin[1], skin[0] * skin[1] * skin[2]];
+        let value = rng.uniform32(0.35, 0.95);
+        let skin = skin(rng, value);
         let (radius_m, half_m) = (rng.uniform32(0.006, 0.012), rng.uniform32(0.03, 0.07));
         let mesh = Arc::new(finger(radius_m, half_m)?);
         let z_m = (self.centre.z - self.diameter_m * rng.uniform(0.3, 0.7)).max(0.5 * self.centre.z);

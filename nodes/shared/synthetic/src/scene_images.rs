@@ -34,6 +34,9 @@ pub struct SceneConfig {
     pub most_others: u32,
     /// Share of the scenes with something close to the camera.
     pub occluded: f64,
+    /// Share of the scenes in which an arm reaches before one of the objects.
+    #[serde(default)]
+    pub reached_into: f64,
 }
 
 impl SceneConfig {
@@ -48,6 +51,7 @@ impl SceneConfig {
             most_objects: 8,
             most_others: 6,
             occluded: 0.25,
+            reached_into: 0.4,
         }
     }
 
@@ -64,6 +68,7 @@ impl SceneConfig {
             ("most_objects", (1..=64).contains(&self.most_objects), "1 to 64"),
             ("most_others", self.most_others <= 64, "0 to 64"),
             ("occluded", (0.0..=1.0).contains(&self.occluded), "a share from 0 to 1"),
+            ("reached_into", (0.0..=1.0).contains(&self.reached_into), "a share from 0 to 1"),
         ];
         match rules.iter().find(|(_, holds, _)| !holds) {
             Some((field, _, wanted)) => Err(SyntheticError::Config { field: format!("scenes.{field}"), wanted }),
@@ -198,4 +203,28 @@ fn owners(picture: &Picture, window: &Window, objects: usize) -> (Vec<u8>, Vec<f
     let known = |owner: u8| if usize::from(owner) <= objects { owner } else { 0 };
     let seen = &picture.visible;
     (0..width * height).map(place).map(|at| (known(seen.owner[at]), seen.depth_m(at))).unzip()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_arm_hides_some_of_what_it_reaches_before_and_changes_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let objects = Arc::new(ObjectSet::load(&crate::write_sample_objects(folder.path()).unwrap()).unwrap());
+        let scene = |reached_into, index| {
+            let config = SceneConfig { reached_into, ..SceneConfig::for_images(96, 72) };
+            SceneGenerator::new(Arc::clone(&objects), config, 5).unwrap().scene(index).unwrap()
+        };
+        let mut hidden = 0;
+        for index in 0..12 {
+            let (free, reached) = (scene(0.0, index), scene(1.0, index));
+            assert_eq!(free.instances, reached.instances);
+            let pixels = free.owner.iter().zip(&reached.owner);
+            assert!(pixels.clone().all(|(free, reached)| free == reached || *reached == 0));
+            hidden += usize::from(pixels.clone().filter(|(free, reached)| free != reached).count() > 20);
+        }
+        assert!(hidden >= 6, "an arm hides something in {hidden} of 12 scenes");
+    }
 }

@@ -27,6 +27,12 @@ pub(super) fn draw_card(rng: &mut impl Rng, size_m: f32) -> Result<Mesh, Imaging
     cuboid(half, half * rng.uniform32(0.4, 1.0), half * thick)
 }
 
+/// A colour of skin, sRGB 0 to 1; `red` is its brightest part.
+pub(super) fn skin(rng: &mut impl Rng, red: f32) -> [f32; 3] {
+    let (green, blue) = (rng.uniform32(0.6, 0.8), rng.uniform32(0.7, 0.95));
+    [red, red * green, red * green * blue]
+}
+
 /// A finger or a rod along z with round ends.
 pub(super) fn finger(radius_m: f32, half_m: f32) -> Result<Mesh, ImagingError> {
     let ring = |i: usize, sign: f32| {

@@ -1,12 +1,12 @@
 //! A whole scene: several objects of the set on a table or in the air, with other things between them.
 
-use super::{Look, Skin, Stock, Surroundings, SyntheticScene, Thing};
+use super::{Look, LookConfig, Skin, Stock, Surroundings, SyntheticScene, Thing};
 use crate::light::{Lighting, Material};
 use crate::pattern::Pattern;
 use crate::pose::centre_m;
 use crate::random::Draw;
 use crate::scene_images::SceneConfig;
-use crate::simple_shapes::draw_shape;
+use crate::simple_shapes::{draw_shape, finger, skin};
 use nalgebra::{Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use pseudoflow_geometry::{Intrinsics, Pose};
 use pseudoflow_imaging::ImagingError;
@@ -86,6 +86,10 @@ impl SyntheticScene {
         let ground = around.ground(rng, clutter.unwrap_or(stock))?;
         let (centre_m, wide_m) = (middle.coords.map(|v| v as f32), (3.0 * diameter_m) as f32);
         let lighting = Lighting::draw(rng, stock.look, up.map(|v| v as f32), centre_m, wide_m);
+        if config.reached_into > 0.0 && !placed.is_empty() && rng.chance(config.reached_into) {
+            let before = Point3::from(things[rng.below(placed.len())].camera_from_thing.translation.vector);
+            things.push(table.arm(rng, diameter_m, &before)?);
+        }
         Ok((Self { things, ground, lighting, centre_m, diameter_m: wide_m }, placed))
     }
 }
@@ -191,6 +195,27 @@ impl Table<'_> {
         let at = self.intrinsics.unproject(&pixel, self.centre.z * rng.uniform(0.4, 0.75));
         let size_m = diameter_m * rng.log_uniform(0.2, 0.8);
         shape(rng, stock, size_m, at)
+    }
+
+    /// An arm that reaches before a point from the side, from above or from the camera: half of what is there is hidden, more or less.
+    fn arm(&self, rng: &mut impl Rng, diameter_m: f64, before: &Point3<f64>) -> Result<Thing, ImagingError> {
+        let radius_m = diameter_m * rng.log_uniform(0.08, 0.3);
+        let half_m = diameter_m * rng.uniform(1.5, 3.0);
+        let angle = rng.uniform(0.0, std::f64::consts::TAU);
+        let away = Vector3::new(angle.cos(), angle.sin(), rng.uniform(-0.8, 0.2)).normalize();
+        // Its end lies on the ray of the point or somewhat beside it, nearer to the camera.
+        let depth = (1.0 - diameter_m * rng.uniform(0.4, 1.2) / before.z).max(0.4);
+        let end = before.coords * depth - away * diameter_m * rng.uniform(-0.5, 0.6);
+        let along = UnitQuaternion::rotation_between(&Vector3::z(), &away).unwrap_or_default();
+        let value = rng.uniform32(0.25, 0.95);
+        let colour = if rng.chance(0.5) { skin(rng, value) } else { rng.colour(0.9, (0.1, 0.9)) };
+        let pattern = if rng.chance(0.7) { Pattern::soft(rng, colour) } else { Pattern::draw(rng, true) };
+        Ok(Thing {
+            mesh: Arc::new(finger(radius_m as f32, half_m as f32)?),
+            camera_from_thing: Pose::from_parts(Translation3::from(end + away * half_m), along),
+            look: Look::pattern(Material::of_distractor(rng, &LookConfig::default()), pattern, diameter_m as f32),
+            in_front: true,
+        })
     }
 
     /// Lowers or lifts a thing onto the table.
