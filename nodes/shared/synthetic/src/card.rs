@@ -70,7 +70,7 @@ impl Statements {
     }
 
     /// Nothing is stated.
-    pub(super) fn none() -> Self {
+    fn none() -> Self {
         Self(BTreeMap::new())
     }
 

@@ -23,12 +23,7 @@ impl ObjectPool {
     /// When no folder is given, a `meta.json` is damaged, or as [`ObjectSet::load`].
     pub fn load(folders: &[PathBuf]) -> Result<Self, SyntheticError> {
         let sets = folders.iter().map(|folder| ObjectSet::load(folder)).collect::<Result<Vec<_>, _>>()?;
-        let mut pool = Self::of_sets(&sets);
-        let stated = folders.iter().map(|folder| Statements::of_folder(folder)).collect::<Result<Vec<_>, _>>()?;
-        let of_set = |(set, stated): (&ObjectSet, &Statements)| -> Vec<Origin> {
-            set.iter().map(|object| stated.origin(&object.id.to_string(), &object.name)).collect()
-        };
-        pool.origins = sets.iter().zip(&stated).flat_map(of_set).collect();
+        let pool = Self::of_sets(&sets)?;
         if pool.objects.is_empty() {
             return Err(SyntheticError::NoObjects { folder: folders.first().cloned().unwrap_or_default() });
         }
@@ -45,8 +40,10 @@ impl ObjectPool {
     }
 
     /// The objects of sets that are loaded.
-    #[must_use]
-    pub fn of_sets(sets: &[ObjectSet]) -> Self {
+    ///
+    /// # Errors
+    /// When the `meta.json` of a set's folder is damaged.
+    pub fn of_sets(sets: &[ObjectSet]) -> Result<Self, SyntheticError> {
         let objects: Vec<&Object> = sets.iter().flat_map(ObjectSet::iter).collect();
         let objects = objects.par_iter().map(|object| Arc::new(with_openness((*object).clone()))).collect();
         // One set keeps its names; of several, each name says where it comes from.
@@ -56,8 +53,12 @@ impl ObjectPool {
             _ => format!("{}/{}", folder(set).iter().rev().collect::<PathBuf>().display(), object.name),
         };
         let names: Vec<String> = sets.iter().flat_map(|set| set.iter().map(move |object| name(set, object))).collect();
-        let origins = names.iter().map(|name| Statements::none().origin("", name)).collect();
-        Self { objects, names, origins }
+        let stated = sets.iter().map(|set| Statements::of_folder(set.folder())).collect::<Result<Vec<_>, _>>()?;
+        let of_set = |(set, stated): (&ObjectSet, &Statements)| -> Vec<Origin> {
+            set.iter().map(|object| stated.origin(&object.id.to_string(), &object.name)).collect()
+        };
+        let origins = sets.iter().zip(&stated).flat_map(of_set).collect();
+        Ok(Self { objects, names, origins })
     }
 
     /// Without the objects that are not stated to be shippable; those of which nothing is stated count as the user's own.

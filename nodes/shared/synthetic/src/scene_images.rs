@@ -127,10 +127,10 @@ impl Clutter {
 
 impl SceneGenerator {
     /// # Errors
-    /// When the configuration is out of range.
+    /// When the configuration is out of range, or the `meta.json` of the set's folder is damaged.
     pub fn new(objects: Arc<ObjectSet>, config: SceneConfig, seed: u64) -> Result<Self, SyntheticError> {
         config.check()?;
-        let objects = Arc::new(ObjectPool::of_sets(std::slice::from_ref(&*objects)));
+        let objects = Arc::new(ObjectPool::of_sets(std::slice::from_ref(&*objects))?);
         Ok(Self { objects, clutter: None, config, seed })
     }
 
@@ -147,7 +147,7 @@ impl SceneGenerator {
         only_shippable: bool,
     ) -> Result<Self, SyntheticError> {
         let others = match others.is_empty() {
-            true => ObjectPool::of_sets(&[]),
+            true => ObjectPool::of_sets(&[])?,
             false if only_shippable => ObjectPool::load(others)?.only_shippable()?,
             false => ObjectPool::load(others)?,
         };
@@ -226,5 +226,21 @@ mod tests {
             hidden += usize::from(pixels.clone().filter(|(free, reached)| free != reached).count() > 20);
         }
         assert!(hidden >= 6, "an arm hides something in {hidden} of 12 scenes");
+    }
+
+    #[test]
+    fn the_card_says_where_the_objects_come_from() {
+        let folder = tempfile::tempdir().unwrap();
+        let models = crate::write_sample_objects(folder.path()).unwrap();
+        let objects = Arc::new(ObjectSet::load(&models).unwrap());
+        let card = || SceneGenerator::new(Arc::clone(&objects), SceneConfig::for_images(96, 72), 1).map(|g| g.card());
+        assert!(card().unwrap().to_json().contains("not stated"));
+        let stated = |id| format!(r#""{id}": {{"source": "a shop", "licence": "CC0", "ship": true}}"#);
+        let meta: Vec<String> = objects.ids().into_iter().map(stated).collect();
+        std::fs::write(models.join("meta.json"), format!("{{{}}}", meta.join(","))).unwrap();
+        let told = card().unwrap().to_json();
+        assert!(told.contains("a shop") && told.contains(r#""may_ship": true"#), "{told}");
+        std::fs::write(models.join("meta.json"), "{").unwrap();
+        assert!(card().unwrap_err().to_string().contains("meta.json"));
     }
 }
