@@ -1,6 +1,6 @@
 use crate::PnpNodeConfig;
 use crate::crop_solver::CropSolver;
-use crate::gate::{CERTAINTY_WEIGHT, Feature, Features, Gate, StageModel, Verdict};
+use crate::gate::{Feature, Features, Gate, StageModel, Verdict, merit};
 use crate::joint::{Joint, Stages};
 use crate::views::{ViewPlanes, belong_together, evidence, planes};
 use pseudoflow_geometry::{Pose, quaternion_xyzw};
@@ -109,7 +109,7 @@ impl PnpNode {
         };
         let initial = &planes.view.pose;
         let seen = found.inlier_ratio + photometric + silhouette;
-        let merit = seen + CERTAINTY_WEIGHT * planes.field.mean_certainty().unwrap_or(0.0);
+        let merit = merit(seen, planes.field.mean_certainty());
         log::debug!(
             "object {}: gate {}; seen {seen:.3}; {verdict:?}; {evidence:?}",
             initial.object_id,

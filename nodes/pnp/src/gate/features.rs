@@ -134,7 +134,13 @@ pub struct Scale {
 /// What the network's mean certainty counts for among hypotheses, beside inlier ratio, correlation and contrast (each at most 1).
 /// Chosen with searches of tabletop's train split: 0, 1, 2 and 3 find 0.78, 0.80, 0.83 and 0.83 of 110 objects in two looks
 /// (docs/measuring.md).
-pub(crate) const CERTAINTY_WEIGHT: f64 = 2.0;
+const CERTAINTY_WEIGHT: f64 = 2.0;
+
+/// By what the hypotheses of an instance are ranked: how well flow and picture agree with a pose (`seen`: inlier ratio, correlation and
+/// contrast together), and how certain the network is where it says so.
+pub(crate) fn merit(seen: f64, certainty: Option<f64>) -> f64 {
+    seen + CERTAINTY_WEIGHT * certainty.unwrap_or(0.0)
+}
 
 /// Fewer textured blocks do not count as a comparison.
 const MIN_BLOCKS: usize = 4;
@@ -161,17 +167,17 @@ impl Features {
         self
     }
 
-    /// How well flow and picture agree with the refined or the initial pose, by which the hypotheses of an instance are ranked: inlier ratio,
-    /// correlation, contrast and [`CERTAINTY_WEIGHT`] times the network's certainty. What is not known counts nothing.
+    /// By what the hypotheses of an instance are ranked: how well flow and picture agree with the refined or the initial pose, and how certain
+    /// the network is. What is not known counts nothing.
     #[must_use]
     pub fn merit(&self, refined: bool) -> f64 {
         let of_pictures = match refined {
             true => [Feature::PhotometricRefined, Feature::SilhouetteRefined],
             false => [Feature::PhotometricInitial, Feature::SilhouetteInitial],
         };
-        let known = |feature| Some(self.get(feature)).filter(|v| !v.is_nan()).unwrap_or(0.0);
-        let seen = known(Feature::InlierRatio) + of_pictures.map(known).iter().sum::<f64>();
-        seen + CERTAINTY_WEIGHT * known(Feature::Certainty)
+        let known = |feature| Some(self.get(feature)).filter(|v| !v.is_nan());
+        let [photometric, silhouette] = of_pictures.map(|feature| known(feature).unwrap_or(0.0));
+        merit(known(Feature::InlierRatio).unwrap_or(0.0) + photometric + silhouette, known(Feature::Certainty))
     }
 
     /// Of a solution and what the pictures say about it. The contour stage adds its own.

@@ -18,7 +18,7 @@ mod tests;
 pub use contour::ContourScale;
 pub use decision::{Decision, GateConfig, GateReason};
 pub use evidence::{Evidence, Gate, GateView};
-pub(crate) use features::CERTAINTY_WEIGHT;
+pub(crate) use features::merit;
 pub use features::{Feature, Features, Scale};
 pub use logistic::{Logistic, Term};
 pub use model::{CovarianceScale, GateModel, GateModelError, Stage, StageModel, Verdict};

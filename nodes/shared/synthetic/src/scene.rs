@@ -284,8 +284,8 @@ impl<'a> Surroundings<'a> {
 
     /// Two to four parallel fingers that reach over the edge of the object.
     fn add_hand(&self, rng: &mut impl Rng, stock: &Stock<'_>, things: &mut Vec<Thing>) -> Result<(), ImagingError> {
-        let value = rng.uniform32(0.35, 0.95);
-        let skin = skin(rng, value);
+        let red = rng.uniform32(0.35, 0.95);
+        let skin = skin(rng, red);
         let (radius_m, half_m) = (rng.uniform32(0.006, 0.012), rng.uniform32(0.03, 0.07));
         let mesh = Arc::new(finger(radius_m, half_m)?);
         let z_m = (self.centre.z - self.diameter_m * rng.uniform(0.3, 0.7)).max(0.5 * self.centre.z);

@@ -1,6 +1,6 @@
 //! A whole scene: several objects of the set on a table or in the air, with other things between them.
 
-use super::{Look, LookConfig, Skin, Stock, Surroundings, SyntheticScene, Thing};
+use super::{Look, Skin, Stock, Surroundings, SyntheticScene, Thing};
 use crate::light::{Lighting, Material};
 use crate::pattern::Pattern;
 use crate::pose::centre_m;
@@ -86,9 +86,10 @@ impl SyntheticScene {
         let ground = around.ground(rng, clutter.unwrap_or(stock))?;
         let (centre_m, wide_m) = (middle.coords.map(|v| v as f32), (3.0 * diameter_m) as f32);
         let lighting = Lighting::draw(rng, stock.look, up.map(|v| v as f32), centre_m, wide_m);
+        // Drawn last, and not at all without arms: the rest of a scene is the same with and without.
         if config.reached_into > 0.0 && !placed.is_empty() && rng.chance(config.reached_into) {
-            let before = Point3::from(things[rng.below(placed.len())].camera_from_thing.translation.vector);
-            things.push(table.arm(rng, diameter_m, &before)?);
+            let reached_for = Point3::from(things[rng.below(placed.len())].camera_from_thing.translation.vector);
+            things.push(table.arm(rng, stock, diameter_m, &reached_for)?);
         }
         Ok((Self { things, ground, lighting, centre_m, diameter_m: wide_m }, placed))
     }
@@ -197,23 +198,30 @@ impl Table<'_> {
         shape(rng, stock, size_m, at)
     }
 
-    /// An arm that reaches before a point from the side, from above or from the camera: half of what is there is hidden, more or less.
-    fn arm(&self, rng: &mut impl Rng, diameter_m: f64, before: &Point3<f64>) -> Result<Thing, ImagingError> {
+    /// An arm from any side of the image that ends near a point, between it and the camera, so that a part of what stands there is hidden.
+    fn arm(
+        &self,
+        rng: &mut impl Rng,
+        stock: &Stock<'_>,
+        diameter_m: f64,
+        reached_for: &Point3<f64>,
+    ) -> Result<Thing, ImagingError> {
         let radius_m = diameter_m * rng.log_uniform(0.08, 0.3);
         let half_m = diameter_m * rng.uniform(1.5, 3.0);
         let angle = rng.uniform(0.0, std::f64::consts::TAU);
+        // From its end to the shoulder.
         let away = Vector3::new(angle.cos(), angle.sin(), rng.uniform(-0.8, 0.2)).normalize();
         // Its end lies on the ray of the point or somewhat beside it, nearer to the camera.
-        let depth = (1.0 - diameter_m * rng.uniform(0.4, 1.2) / before.z).max(0.4);
-        let end = before.coords * depth - away * diameter_m * rng.uniform(-0.5, 0.6);
+        let depth = (1.0 - diameter_m * rng.uniform(0.4, 1.2) / reached_for.z).max(0.4);
+        let end = reached_for.coords * depth - away * diameter_m * rng.uniform(-0.5, 0.6);
         let along = UnitQuaternion::rotation_between(&Vector3::z(), &away).unwrap_or_default();
-        let value = rng.uniform32(0.25, 0.95);
-        let colour = if rng.chance(0.5) { skin(rng, value) } else { rng.colour(0.9, (0.1, 0.9)) };
+        let red = rng.uniform32(0.25, 0.95);
+        let colour = if rng.chance(0.5) { skin(rng, red) } else { rng.colour(0.9, (0.1, 0.9)) };
         let pattern = if rng.chance(0.7) { Pattern::soft(rng, colour) } else { Pattern::draw(rng, true) };
         Ok(Thing {
             mesh: Arc::new(finger(radius_m as f32, half_m as f32)?),
             camera_from_thing: Pose::from_parts(Translation3::from(end + away * half_m), along),
-            look: Look::pattern(Material::of_distractor(rng, &LookConfig::default()), pattern, diameter_m as f32),
+            look: Look::pattern(Material::of_distractor(rng, stock.look), pattern, diameter_m as f32),
             in_front: true,
         })
     }
