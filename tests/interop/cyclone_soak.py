@@ -6,15 +6,15 @@ PID is the supervisor's. File descriptors and shared memory must be the same fro
 resident memory may grow by a twentieth and 8 MB (allocators keep what they had), whatever the number of frames.
 """
 
+import itertools
 import json
 import os
 import pathlib
 import sys
 import time
 
-
 import cyclone_types as ros
-from cyclone_hostile import BEGIN_S, Listener, Speaker, until
+from cyclone_hostile import BEGIN_S, PATIENCE_S, Listener, Speaker, until
 
 WIDTH, HEIGHT, FRAME = 64, 48, "camera_optical"
 # So many frames are on their way beside the one that is waited for: 0 has next to none passed over.
@@ -34,6 +34,21 @@ def messages(index):
     found = ros.Detection3D(header, [result], ros.BoundingBox3D(pose, ros.Vector3(0.0, 0.0, 0.0)), "0")
     return stamp.ns, {"/camera/camera_info": info, "/camera/image_raw": image,
                       "/detections": ros.Detection3DArray(header, [found])}
+
+
+def warm_up(listener, camera):
+    """Sends frames, a second apart, until the graph answers one: between our finding the graph and the graph's finding us, what is
+    sent may be lost for good, as topics are volatile. A camera sends on, and so must we before frames are sent one by one."""
+    for index in itertools.count(-PATIENCE_S):
+        stamp_ns, sent = messages(index)
+        for name, message in sent.items():
+            camera.say(name, message)
+        patience = time.monotonic() + 1
+        while time.monotonic() < patience:
+            if newest(listener) > 0:
+                return index + PATIENCE_S + 1
+            time.sleep(0.005)
+        assert index < 0, f"poses after {PATIENCE_S} frames in as many seconds: none"
 
 
 def held(supervisor, prefix):
@@ -73,6 +88,7 @@ def main():
     camera.meet()
     prefix = json.loads((run_dir / ".run/ipc.json").read_text())["prefix"]
     until("the graph's answers", lambda: all(r.get_matched_publications() for r in listener.poses))
+    print(f"frame {warm_up(listener, camera)} was the first that was answered")
     samples, answered, begin, every = [], 0, time.monotonic(), max(1, frames // 200)
     for index in range(frames):
         stamp_ns, sent = messages(index)
