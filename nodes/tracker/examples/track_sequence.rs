@@ -25,6 +25,7 @@ use pseudoflow_tracking::{
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 struct Arguments {
     scene: PathBuf,
@@ -47,9 +48,14 @@ fn arguments() -> Arguments {
     Arguments { scene: plain[0].clone(), models: plain[1].clone(), truth, options }
 }
 
+/// CPU time of all threads so far.
 fn cpu_ms() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
-    text.split(' ').next().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0) * 1e-6
+    let threads = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let of = |thread: std::fs::DirEntry| {
+        let text = std::fs::read_to_string(thread.path().join("schedstat")).unwrap_or_default();
+        text.split(' ').next().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0) * 1e-6
+    };
+    threads.map(of).sum()
 }
 
 struct Scored {
@@ -94,7 +100,7 @@ fn main() {
         (option("start", "truth"), option("looks", "none"), option("hz", "30").parse::<f64>().unwrap());
     let reset = option("reset", "no") == "yes";
     let mut scored: Vec<Scored> = Vec::new();
-    let (mut spent_ms, mut look_ms, mut looks_made, mut frames) = (0.0, 0.0, 0, 0);
+    let (mut spent_ms, mut lasted_ms, mut look_ms, mut looks_made, mut frames) = (0.0, 0.0, 0.0, 0, 0);
     let mut network = (looks != "none").then(|| Network::open(&arguments, Path::new(&looks)));
     let delay: usize = option("delay", "3").parse().unwrap();
     let search: usize = option("search", "0").parse().unwrap();
@@ -129,11 +135,12 @@ fn main() {
             }
         }
         let stamp_ns = (f64::from(frame.image_id) / hz * 1e9) as i64 + 1_000_000_000;
-        let before = cpu_ms();
+        let (before, began) = (cpu_ms(), Instant::now());
         let seen = Frame { index: index as u64, stamp_ns, rgb: &image, intrinsics: frame.intrinsics };
         let estimates = tracker.step(&seen, &corrections).estimates;
         let wanted = tracker.ask();
         spent_ms += cpu_ms() - before;
+        lasted_ms += began.elapsed().as_secs_f64() * 1e3;
         frames += 1;
         if search > 0 && index > 0 && index % search == 0 {
             let missing = tracker.missing();
@@ -193,7 +200,7 @@ fn main() {
             });
         }
     }
-    report(&scored, spent_ms, frames);
+    report(&scored, spent_ms, lasted_ms, frames);
     println!(
         "{looks_made} looks, {:.1} CPU-ms each, {:.1} a frame",
         look_ms / looks_made.max(1) as f64,
@@ -280,7 +287,7 @@ fn matrix(pose: &Pose) -> MatrixPose {
     MatrixPose::from_row_major(&rotation, &pose.translation.vector.into()).unwrap()
 }
 
-fn report(scored: &[Scored], spent_ms: f64, frames: usize) {
+fn report(scored: &[Scored], spent_ms: f64, lasted_ms: f64, frames: usize) {
     let share = |keep: &dyn Fn(&Scored) -> bool, limit: f64| {
         let kept: Vec<&Scored> = scored.iter().filter(|s| s.visible >= 0.1 && keep(s)).collect();
         (kept.iter().filter(|s| s.error_d < limit).count() as f64 / kept.len().max(1) as f64, kept.len())
@@ -300,7 +307,8 @@ fn report(scored: &[Scored], spent_ms: f64, frames: usize) {
         line(&format!("object {id}"), &|s| s.id == id);
     }
     let poses = scored.iter().filter(|s| s.estimate.is_some()).count().max(1);
-    println!("CPU {:.2} ms a frame, {:.2} an object", spent_ms / frames as f64, spent_ms / poses as f64);
+    let (spent_ms, each_ms) = (spent_ms / frames as f64, spent_ms / poses as f64);
+    println!("CPU {spent_ms:.2} ms a frame, {each_ms:.2} an object, {:.2} by the clock", lasted_ms / frames as f64);
 }
 
 fn write(scored: &[Scored], path: &Path) {

@@ -15,7 +15,8 @@ pub(crate) fn bin_of([r, g, b]: [u8; 3]) -> u16 {
     (part(r) << (2 * BITS)) | (part(g) << BITS) | part(b)
 }
 
-/// How often each colour was seen inside and outside of the contour; each sums to one.
+/// How often each colour was seen inside and outside of the contour; each sums to one. Empty, it takes no memory: trackers put empty
+/// ones in the place of those that they work with.
 #[derive(Debug, Clone)]
 pub(crate) struct Histograms {
     inside: Vec<f32>,
@@ -52,13 +53,12 @@ const SPREAD: f32 = 0.02;
 
 impl Histograms {
     pub(crate) fn new() -> Self {
-        let zero = || vec![0.0; BINS];
         Self {
-            inside: zero(),
-            outside: zero(),
-            fresh_inside: zero(),
-            fresh_outside: zero(),
-            log_odds: vec![0.0; BINS + 1],
+            inside: Vec::new(),
+            outside: Vec::new(),
+            fresh_inside: Vec::new(),
+            fresh_outside: Vec::new(),
+            log_odds: Vec::new(),
             empty: true,
             counted_at: None,
         }
@@ -70,8 +70,10 @@ impl Histograms {
 
     /// Begins to count.
     pub(crate) fn begin(&mut self) {
-        self.fresh_inside.fill(0.0);
-        self.fresh_outside.fill(0.0);
+        for fresh in [&mut self.fresh_inside, &mut self.fresh_outside] {
+            fresh.clear();
+            fresh.resize(BINS, 0.0);
+        }
         self.counted_at = None;
     }
 
@@ -91,11 +93,12 @@ impl Histograms {
     pub(crate) fn renew(&mut self, renewal: f32) -> bool {
         let renewal = if self.empty { 1.0 } else { renewal };
         self.counted_at = None;
-        let blend = |old: &mut [f32], fresh: &[f32]| {
+        let blend = |old: &mut Vec<f32>, fresh: &[f32]| {
             let total: f32 = fresh.iter().sum();
             if total < 16.0 {
                 return false;
             }
+            old.resize(BINS, 0.0);
             let scale = renewal / total;
             old.iter_mut().zip(fresh).for_each(|(o, f)| *o = (1.0 - renewal) * *o + scale * f);
             true
@@ -105,6 +108,7 @@ impl Histograms {
         }
         self.empty = false;
         let spread = SPREAD / BINS as f32;
+        self.log_odds.resize(BINS + 1, 0.0);
         for ((odds, inside), outside) in self.log_odds.iter_mut().zip(&self.inside).zip(&self.outside) {
             *odds = ((inside + spread) / (outside + spread)).ln();
         }
@@ -114,7 +118,10 @@ impl Histograms {
     /// What the colours of a picture say: ln (inside / outside) of each pixel.
     pub(crate) fn log_odds(&self, bins: &[u16], out: &mut Vec<f32>) {
         out.clear();
-        out.extend(bins.iter().map(|b| self.log_odds[*b as usize]));
+        match self.log_odds.is_empty() {
+            true => out.resize(bins.len(), 0.0),
+            false => out.extend(bins.iter().map(|b| self.log_odds[*b as usize])),
+        }
     }
 
     /// How much of both histograms is the same, 0..1 (Bhattacharyya).
@@ -130,12 +137,14 @@ mod tests {
     #[test]
     fn colours_of_one_side_speak_for_it() {
         let mut h = Histograms::new();
+        let mut out = Vec::new();
+        h.log_odds(&[3, NOWHERE], &mut out);
+        assert_eq!(out, [0.0, 0.0], "nothing was counted yet");
         h.begin();
         let (red, blue, grey) = (bin_of([200, 10, 10]), bin_of([10, 10, 200]), bin_of([90, 90, 90]));
         (0..100).for_each(|_| h.count_inside(red));
         (0..100).for_each(|_| h.count_outside(blue));
         assert!(h.renew(1.0));
-        let mut out = Vec::new();
         h.log_odds(&[red, blue, grey, NOWHERE], &mut out);
         assert!(out[0] > 3.0 && out[1] < -3.0 && out[2] == 0.0 && out[3] == 0.0, "{out:?}");
         assert!(h.overlap() < 1e-6);

@@ -168,9 +168,9 @@ impl Tracker {
         match self.tracks[i].measured {
             true => self.follow_contour(i, now, start, poses),
             false => {
-                let Self { measurer, objects, tracks, .. } = self;
+                let Self { tools, objects, tracks, .. } = self;
                 let hiders = hiders(objects, tracks, i, poses);
-                measurer.find(&subject(now, &objects[tracks[i].object], &hiders), start)
+                tools.measurer.find(&subject(now, &objects[tracks[i].object], &hiders), start)
             }
         }
     }

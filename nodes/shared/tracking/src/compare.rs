@@ -10,7 +10,9 @@ use crate::types::KnownObject;
 use pseudoflow_geometry::Pose;
 use pseudoflow_imaging::raster::Item;
 
-/// Frames from one comparison to the next where frames were dropped.
+/// Objects that are compared in one frame: as many cores as a robot spares.
+const COMPARED_TOGETHER: usize = 2;
+/// Frames for each comparison where frames were dropped; else one.
 const LATE_FRAMES: u64 = 6;
 /// Objects are bound to a rendering of their mesh, if it has so much contrast (grey levels). The picture may be less like the mesh
 /// there by so much: on a plain face correlation hangs on light and sharpness more than on a turn of ten degrees.
@@ -33,34 +35,38 @@ impl Tracker {
     }
 
     pub(crate) fn likeness(&mut self, i: usize, now: &Now<'_>, pose: &Pose, poses: &[Pose]) -> Option<Likeness> {
-        let Self { maker, objects, tracks, .. } = self;
+        let Self { tools, objects, tracks, .. } = self;
         let items = items(objects, tracks, i, pose, poses);
-        maker.likeness(now.pyramid, &items, &now.frame.intrinsics)
+        tools.maker.likeness(now.pyramid, &items, &now.frame.intrinsics)
     }
 
-    /// Compares a rendering of one object with the picture, each in turn, so that no frame takes long.
-    pub(crate) fn compare_one(&mut self, now: &Now<'_>, trials: &mut [Option<Trial>], predicted: &[Pose]) {
+    /// Compares renderings of objects with the picture, two every other frame, all in turn, so that no frame takes long.
+    pub(crate) fn compare_some(&mut self, now: &Now<'_>, trials: &mut [Option<Trial>], predicted: &[Pose]) {
         let there = |i: &usize| trials[*i].is_some_and(|t| t.evidence.lines > 0.0);
         let mut due: Vec<usize> = (0..trials.len()).filter(there).collect();
         due.sort_by_key(|i| self.tracks[*i].compared_at);
         let last = self.tracks.iter().map(|t| t.compared_at).max().unwrap_or(0);
-        let at_most = match now.late {
-            // Whoever is late has little time for it.
-            true => usize::from(now.frame.index >= last + LATE_FRAMES),
-            // After a long gap what was seen before tells little.
-            false if self.after_long_gap(now) => due.len(),
-            false => 1,
-        };
+        let together = due.len().min(COMPARED_TOGETHER);
+        // Whoever is late has little time for it.
+        let frames_each = if now.late { LATE_FRAMES } else { 1 };
+        // After a long gap what was seen before tells little.
+        due.truncate(match self.after_long_gap(now) && !now.late {
+            true => due.len(),
+            false if now.frame.index + 1 >= last + frames_each * together as u64 => together,
+            false => 0,
+        });
         let poses = poses_of(trials, predicted);
-        for i in due.into_iter().take(at_most) {
-            self.tracks[i].compared_at = now.frame.index + 1;
-            self.tracks[i].likeness = self.likeness(i, now, &poses[i], &poses);
-            if let Some(trial) = self.anchored(i, now, &poses) {
-                trials[i] = Some(trial);
-            } else if let Some(trial) = trials[i].and_then(|own| self.turned(i, now, &own, &poses)) {
-                trials[i] = Some(trial);
-            }
+        let moved = self.side_by_side(&due, |this, i| this.compare(i, now, trials[i].as_ref(), &poses));
+        for (i, trial) in due.into_iter().zip(moved) {
+            trials[i] = trial.or(trials[i]);
         }
+    }
+
+    /// Compares a rendering of an object with the picture; where else it is, if the mesh itself or half a turn leads there.
+    fn compare(&mut self, i: usize, now: &Now<'_>, own: Option<&Trial>, poses: &[Pose]) -> Option<Trial> {
+        self.tracks[i].compared_at = now.frame.index + 1;
+        self.tracks[i].likeness = self.likeness(i, now, &poses[i], poses);
+        self.anchored(i, now, poses).or_else(|| self.turned(i, now, own?, poses))
     }
 
     /// The pose that the mesh itself, rendered where the object is believed to be, leads to, if clearly more of it agrees with that:
@@ -98,13 +104,13 @@ impl Tracker {
     /// The pose that a rendering of the mesh leads to, and how like the picture the mesh is there, if that is at least `least`.
     fn moved_to_rendering(&mut self, i: usize, now: &Now<'_>, poses: &[Pose], least: f64) -> Option<(Trial, Likeness)> {
         let keyframe = {
-            let Self { maker, objects, tracks, .. } = self;
-            maker.rendered(now.pyramid, &items(objects, tracks, i, &poses[i], poses), &now.frame.intrinsics)?
+            let Self { tools, objects, tracks, .. } = self;
+            tools.maker.rendered(now.pyramid, &items(objects, tracks, i, &poses[i], poses), &now.frame.intrinsics)?
         };
         let wide = now.reaching_far();
         let there = {
-            let Self { measurer, objects, tracks, .. } = self;
-            measurer.anchored(&subject(&wide, &objects[tracks[i].object], &[]), &poses[i], &keyframe)?
+            let Self { tools, objects, tracks, .. } = self;
+            tools.measurer.anchored(&subject(&wide, &objects[tracks[i].object], &[]), &poses[i], &keyframe)?
         };
         let colours = std::mem::take(&mut self.tracks[i].colours);
         let trial = self.follow_with(i, now, &there, poses, &[keyframe]);
@@ -132,7 +138,7 @@ impl Tracker {
         let item = |t: &Track| Item { mesh: &self.objects[t.object].mesh, camera_from_object: t.pose };
         let others = self.tracks.iter().enumerate().filter(|(j, t)| *j != i && t.known && t.phase == Phase::Tracking);
         let items: Vec<Item<'_>> = std::iter::once(item(&self.tracks[i])).chain(others.map(|(_, t)| item(t))).collect();
-        let made = self.maker.make(now.pyramid, &items, &now.frame.intrinsics);
+        let made = self.tools.maker.make(now.pyramid, &items, &now.frame.intrinsics);
         let track = &mut self.tracks[i];
         track.texture_due = false;
         match made {

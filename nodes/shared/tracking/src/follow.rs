@@ -18,13 +18,17 @@ impl Tracker {
     ) -> Vec<Option<Trial>> {
         let mut poses = predicted.to_vec();
         let mut trials = vec![None; self.tracks.len()];
-        for i in self.by_depth(predicted) {
-            let own = self.tracks[i].known.then(|| self.follow(i, now, &predicted[i], &poses));
-            let trial = self.correct(i, now, own, (predicted, corrections), &poses);
-            if let Some(trial) = trial.filter(|t| t.evidence.seen() >= self.config.min_seen) {
-                poses[i] = trial.pose;
+        for group in self.groups(now, predicted) {
+            let measured = self.side_by_side(&group, |this, i| {
+                let own = this.tracks[i].known.then(|| this.follow(i, now, &predicted[i], &poses));
+                this.correct(i, now, own, (predicted, corrections), &poses)
+            });
+            for (i, trial) in group.into_iter().zip(measured) {
+                if let Some(trial) = trial.filter(|t| t.evidence.seen() >= self.config.min_seen) {
+                    poses[i] = trial.pose;
+                }
+                trials[i] = trial;
             }
-            trials[i] = trial;
         }
         trials
     }
@@ -55,15 +59,15 @@ impl Tracker {
         keyframes: &[Keyframe],
     ) -> Trial {
         let mut colours = std::mem::take(&mut self.tracks[i].colours);
-        let Self { measurer, objects, tracks, .. } = self;
+        let Self { tools, objects, tracks, .. } = self;
         let hiders = hiders(objects, tracks, i, poses);
         let subject = subject(now, &objects[tracks[i].object], &hiders);
         if colours.is_empty() && !keyframes.is_empty() {
-            measurer.learn(&subject, start, &mut colours, 1.0);
+            tools.measurer.learn(&subject, start, &mut colours, 1.0);
         }
         let trial = match colours.is_empty() {
-            true => measurer.find(&subject, start),
-            false => measurer.follow(&subject, start, &mut colours, keyframes),
+            true => tools.measurer.find(&subject, start),
+            false => tools.measurer.follow(&subject, start, &mut colours, keyframes),
         };
         self.tracks[i].colours = colours;
         trial

@@ -3,6 +3,7 @@
 use nalgebra::Vector6;
 use pseudoflow_geometry::{Pose, exp_se3, log_se3};
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 /// A time in which nothing turns far, seconds.
 const SMALL_S: f64 = 0.01;
@@ -18,16 +19,17 @@ pub(crate) struct Moment {
     pub(crate) measured: bool,
 }
 
-/// The poses of one object by frame.
+/// The poses of one object by frame. A copy shares them until one of the two is changed.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct History(VecDeque<Moment>);
+pub(crate) struct History(Arc<VecDeque<Moment>>);
 
 impl History {
     /// Adds the newest frame.
     pub(crate) fn push(&mut self, moment: Moment) {
-        self.0.push_back(moment);
-        if self.0.len() > FRAMES {
-            self.0.pop_front();
+        let moments = Arc::make_mut(&mut self.0);
+        moments.push_back(moment);
+        if moments.len() > FRAMES {
+            moments.pop_front();
         }
     }
 
@@ -43,7 +45,7 @@ impl History {
 
     /// Moves all that is remembered by a change of pose in the object's own frame: what is wrong now was wrong before.
     pub(crate) fn correct(&mut self, object_from_corrected: &Pose) {
-        self.0.iter_mut().for_each(|m| m.pose *= object_from_corrected);
+        Arc::make_mut(&mut self.0).iter_mut().for_each(|m| m.pose *= object_from_corrected);
     }
 }
 

@@ -1,4 +1,4 @@
-//! Objects followed from frame to frame at the rate of a camera, on one core and without a network.
+//! Objects followed from frame to frame at the rate of a camera, without a network.
 //!
 //! [`Tracker::step`] takes a frame and what others have found in earlier frames ([`Correction`]), and says where each object is
 //! ([`Estimate`]). An object is predicted with constant velocity, then its contour (colours on both sides, kept from frame to
@@ -7,7 +7,8 @@
 //! picture and prediction do not agree on is held: objects that have been at rest together move together, others go on as they
 //! moved. A correction of frame k is carried to the present by the motion since, and taken where the present picture likes it better.
 //!
-//! Nothing here knows of clocks, threads, networks or middleware: the same frames and corrections give the same bits.
+//! Nothing here knows of clocks, networks or middleware: the same frames and corrections give the same bits. The objects of a frame are
+//! measured side by side, by the threads of the rayon pool that the caller runs in; the bits do not hang on their number.
 //! Frames, units, tangents: `pseudoflow-geometry`, `pseudoflow-contour`.
 //!
 //! Begin with [`Tracker`]:
@@ -60,6 +61,7 @@ mod looks;
 mod measure;
 mod rest;
 mod settle;
+mod side_by_side;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]

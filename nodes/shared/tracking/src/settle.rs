@@ -65,10 +65,10 @@ impl Tracker {
         if sure || track.colours.is_empty() {
             let poses = poses_of(trials, &self.tracks.iter().map(|t| t.pose).collect::<Vec<_>>());
             let mut colours = std::mem::take(&mut self.tracks[i].colours);
-            let Self { measurer, objects, tracks, config, .. } = self;
+            let Self { tools, objects, tracks, config, .. } = self;
             let hiders = hiders(objects, tracks, i, &poses);
             let subject = subject(now, &objects[tracks[i].object], &hiders);
-            measurer.learn(&subject, &trial.pose, &mut colours, config.renewal);
+            tools.measurer.learn(&subject, &trial.pose, &mut colours, config.renewal);
             self.tracks[i].colours = colours;
         }
     }

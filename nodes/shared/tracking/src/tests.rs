@@ -12,10 +12,10 @@ use pseudoflow_imaging::shapes::cuboid;
 use pseudoflow_imaging::{Mesh, RgbImage};
 use std::sync::{Arc, OnceLock};
 
-const K: Intrinsics = Intrinsics { fx: 500.0, fy: 500.0, cx: 159.5, cy: 119.5 };
+pub(crate) const K: Intrinsics = Intrinsics { fx: 500.0, fy: 500.0, cx: 159.5, cy: 119.5 };
 const DIAMETER_M: f64 = 0.15;
 
-fn object() -> &'static KnownObject {
+pub(crate) fn object() -> &'static KnownObject {
     static OBJECT: OnceLock<KnownObject> = OnceLock::new();
     OBJECT.get_or_init(|| {
         let mesh = spotted(&cuboid([0.11, 0.08, 0.06], [9; 3]).unwrap());
@@ -25,7 +25,7 @@ fn object() -> &'static KnownObject {
 }
 
 /// Where the box is in a frame: it moves and turns as a hand would move it.
-fn truth(frame: u64) -> Pose {
+pub(crate) fn truth(frame: u64) -> Pose {
     let t = frame as f64 / 30.0;
     Pose::new(Vector3::new(0.03 * (2.0 * t).sin(), 0.02 * t, 0.5 + 0.03 * t), Vector3::new(0.5 + 0.3 * t, 0.4 * t, 0.2))
 }
@@ -51,7 +51,7 @@ fn picture(frame: u64, hidden: bool) -> RgbImage {
     out.rgb
 }
 
-fn step(tracker: &mut Tracker, index: u64, rgb: &RgbImage, corrections: &[Correction]) -> Step {
+pub(crate) fn step(tracker: &mut Tracker, index: u64, rgb: &RgbImage, corrections: &[Correction]) -> Step {
     let stamp_ns = 1_000_000_000 + index as i64 * 33_333_333;
     tracker.step(&Frame { index, stamp_ns, rgb, intrinsics: K }, corrections)
 }

@@ -117,6 +117,14 @@ impl Track {
         }
     }
 
+    /// What other objects' work may ask of this one: all but what it looks like.
+    pub(crate) fn seen_from_outside(&mut self) -> Self {
+        let (colours, keyframes) = (std::mem::take(&mut self.colours), std::mem::take(&mut self.keyframes));
+        let copy = self.clone();
+        (self.colours, self.keyframes) = (colours, keyframes);
+        copy
+    }
+
     /// The phase of an object that turns out not to be where it was followed.
     pub(crate) fn gone(&self) -> Phase {
         if self.phase == Phase::Searching { Phase::Searching } else { Phase::Lost }

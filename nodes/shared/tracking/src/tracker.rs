@@ -4,7 +4,8 @@ use crate::error::TrackingError;
 use crate::evidence::with_look;
 use crate::looks::{self, Budget, Look};
 use crate::measure::{Measurer, Trial};
-use crate::texture::{Maker, Pyramid};
+use crate::side_by_side::Tools;
+use crate::texture::Pyramid;
 use crate::track::{Phase, Track};
 use crate::types::{Correction, Estimate, Frame, FrameProblem, KnownObject, Step};
 use pseudoflow_geometry::{Intrinsics, Pose};
@@ -24,16 +25,17 @@ pub(crate) struct Now<'a> {
 /// Follows objects from frame to frame.
 #[derive(Debug)]
 pub struct Tracker {
-    pub(crate) config: TrackingConfig,
-    pub(crate) objects: Vec<KnownObject>,
+    pub(crate) config: Arc<TrackingConfig>,
+    pub(crate) objects: Arc<[KnownObject]>,
     pub(crate) tracks: Vec<Track>,
-    pub(crate) measurer: Measurer,
-    pub(crate) maker: Maker,
+    pub(crate) tools: Tools,
+    /// For those who work side by side.
+    pub(crate) spare: Vec<Tools>,
     pub(crate) last: Option<(u64, i64)>,
     /// The last frames, as many as rest is judged over.
     pub(crate) recent: VecDeque<u64>,
-    camera: Option<((u32, u32), Intrinsics)>,
-    budget: Budget,
+    pub(crate) camera: Option<((u32, u32), Intrinsics)>,
+    pub(crate) budget: Budget,
     /// Whether looks are answered: what was found then counts from the first that says that it is right.
     pub(crate) looks_come: bool,
 }
@@ -50,10 +52,10 @@ impl Tracker {
         }
         let tracks = (0..objects.len()).map(Track::new).collect();
         Ok(Self {
-            measurer: Measurer::new(&config)?,
-            maker: Maker::default(),
-            config,
-            objects,
+            tools: Tools::new(Measurer::new(&config)?),
+            spare: Vec::new(),
+            config: Arc::new(config),
+            objects: objects.into(),
             tracks,
             last: None,
             recent: VecDeque::new(),
@@ -98,7 +100,7 @@ impl Tracker {
         let mut trials = self.measure_all(now, predicted, corrections);
         let common = self.common(&trials, predicted, &now.frame);
         self.measure_at_rest(now, &mut trials, common.as_ref());
-        self.compare_one(now, &mut trials, predicted);
+        self.compare_some(now, &mut trials, predicted);
         for (track, trial) in self.tracks.iter().zip(&mut trials) {
             if let Some(trial) = trial.as_mut().filter(|t| t.evidence.lines > 0.0) {
                 *trial = trial.with_likeness(track.likeness);
