@@ -2,6 +2,7 @@
 
 use crate::evidence::TELLING;
 use crate::follow::{hiders, subject};
+use crate::looks::Candidate;
 use crate::measure::Trial;
 use crate::rest::{Body, body, motion_of};
 use crate::track::{Phase, Track};
@@ -46,11 +47,11 @@ impl Tracker {
             let Some(own) = best.filter(|_| self.tracks[i].known) else {
                 self.log(now, correction, (None, &trial), "begun");
                 best = Some(self.begin(i, now, trial));
-                self.consider(i, start);
+                self.consider(i, now, start);
                 continue;
             };
             if search {
-                self.consider(i, start);
+                self.consider(i, now, start);
             }
             if self.near(i, &own.pose, &trial.pose) {
                 self.log(now, correction, (Some(&own), &trial), "there");
@@ -64,9 +65,9 @@ impl Tracker {
             let given_up = self.tracks[i].unseen_s(now.frame.stamp_ns) > self.config.look_timeout_s;
             if search && (trial.confidence > own.confidence || given_up) {
                 self.log(now, correction, (Some(&own), &trial), "begun anew");
-                let others = std::mem::take(&mut self.tracks[i].others);
+                let candidates = std::mem::take(&mut self.tracks[i].candidates);
                 best = Some(self.begin(i, now, trial));
-                self.tracks[i].others = others;
+                self.tracks[i].candidates = candidates;
             } else if !search {
                 let taken = self.takes_look(i, exact, (&own, &trial), correction);
                 self.log(now, correction, (Some(&own), &trial), if taken { "taken" } else { "not taken" });
@@ -81,10 +82,10 @@ impl Tracker {
     }
 
     /// A pose that was found will be looked at as it was found: the contour alone may lead it astray.
-    fn consider(&mut self, i: usize, found: Pose) {
-        let others = &mut self.tracks[i].others;
-        if others.len() < MOST_OTHERS {
-            others.push(found);
+    fn consider(&mut self, i: usize, now: &Now<'_>, pose: Pose) {
+        let candidates = &mut self.tracks[i].candidates;
+        if candidates.len() < MOST_CANDIDATES {
+            candidates.push(Candidate { frame: now.frame.index, pose });
         }
     }
 
@@ -214,7 +215,7 @@ impl Tracker {
     }
 
     /// Motion of the scene at rest since a frame; of one object alone where there is no other.
-    fn motion_since(&self, frame: u64, now: &[Pose], camera: &Intrinsics) -> Option<Pose> {
+    pub(crate) fn motion_since(&self, frame: u64, now: &[Pose], camera: &Intrinsics) -> Option<Pose> {
         let bodies: Vec<Body> = self.bodies(frame, now, |_| true).into_iter().flatten().collect();
         motion_of(&bodies, camera)
     }
@@ -235,7 +236,7 @@ impl Tracker {
     }
 
     /// How far two poses of an object are from each other.
-    fn apart(&self, track: usize, a: &Pose, b: &Pose) -> Apart {
+    pub(crate) fn apart(&self, track: usize, a: &Pose, b: &Pose) -> Apart {
         let object = &self.objects[self.tracks[track].object];
         let middle: Point3<f64> = object.contour.centre_m();
         Apart { diameters: (a * middle - b * middle).norm() / object.diameter_m, rad: rotation_angle_rad(a, b) }
@@ -264,13 +265,13 @@ const DOUBTFUL_CONFIDENCE: f64 = 0.8;
 
 /// How far two poses of an object are from each other: shift of its middle, and turn.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Apart {
-    diameters: f64,
-    rad: f64,
+pub(crate) struct Apart {
+    pub(crate) diameters: f64,
+    pub(crate) rad: f64,
 }
 
 impl Apart {
-    fn is_within(&self, limit: Self) -> bool {
+    pub(crate) fn is_within(&self, limit: Self) -> bool {
         self.diameters < limit.diameters && self.rad < limit.rad
     }
 }
@@ -291,8 +292,8 @@ enum LookOutcome {
     NotTaken,
 }
 
-/// Other poses of what was found that are looked at.
-const MOST_OTHERS: usize = 12;
+/// Poses of what was found that are looked at.
+const MOST_CANDIDATES: usize = 12;
 /// How much less sure a contour may be of a pose that a look has found: a look sees what is inside of it.
 const LOOK_BONUS: f64 = 0.2;
 /// The difference of correlations that tells poses apart.

@@ -1,7 +1,9 @@
 //! Which objects a network should look at: those that are not sure, those that were not looked at for long.
 
 use crate::TrackingConfig;
+use crate::carry::Apart;
 use crate::track::{Phase, Track};
+use crate::tracker::Tracker;
 use pseudoflow_geometry::Pose;
 
 /// A look of the network that is asked for.
@@ -11,6 +13,43 @@ pub struct Look {
     pub object_id: u32,
     /// Where it is believed to be in this frame.
     pub camera_from_object: Pose,
+}
+
+/// Where a search has found an object, `camera_from_object` in a frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Candidate {
+    pub(crate) frame: u64,
+    pub(crate) pose: Pose,
+}
+
+/// Poses of which one look is enough: it leads from either to the same.
+const SAME_LOOK: Apart = Apart { diameters: 0.15, rad: 0.26 };
+
+impl Tracker {
+    /// Where a look at an object begins: where it is followed, and where else it was found, brought to the last frame.
+    pub(crate) fn starts_of_look(&mut self, i: usize) -> Vec<Pose> {
+        let mut poses = vec![self.tracks[i].pose];
+        for candidate in std::mem::take(&mut self.tracks[i].candidates) {
+            let here = self.brought_here(&candidate);
+            if !poses.iter().any(|pose| self.apart(i, pose, &here).is_within(SAME_LOOK)) {
+                poses.push(here);
+            }
+        }
+        poses
+    }
+
+    /// Whether a look at where it was found is still to come.
+    pub(crate) fn awaits_look(&self, track: &Track) -> bool {
+        let asked = |ns: i64| self.last.is_some_and(|(_, now_ns)| is_within(ns, now_ns, self.config.look_timeout_s));
+        track.known && (!track.candidates.is_empty() || track.asked_ns.is_some_and(asked))
+    }
+
+    /// A candidate as the scene has moved since; as it was found where nothing tells.
+    fn brought_here(&self, candidate: &Candidate) -> Pose {
+        let poses: Vec<Pose> = self.tracks.iter().map(|t| t.pose).collect();
+        let motion = self.camera.and_then(|(_, intrinsics)| self.motion_since(candidate.frame, &poses, &intrinsics));
+        motion.map_or(candidate.pose, |motion| motion * candidate.pose)
+    }
 }
 
 /// What looks may cost: each frame earns some, each look costs some.
@@ -34,10 +73,14 @@ impl Budget {
     }
 }
 
+fn is_within(then_ns: i64, now_ns: i64, seconds: f64) -> bool {
+    ((now_ns - then_ns) as f64) < seconds * 1e9
+}
+
 /// The tracks to be looked at in this frame, the most urgent first.
 pub(crate) fn wanted(tracks: &[Track], now_ns: i64, config: &TrackingConfig) -> Vec<usize> {
     let since = |ns: Option<i64>| ns.map_or(f64::INFINITY, |ns| (now_ns - ns) as f64 * 1e-9);
-    let waiting = |t: &Track| since(t.asked_ns) < config.look_timeout_s;
+    let waiting = |t: &Track| t.asked_ns.is_some_and(|ns| is_within(ns, now_ns, config.look_timeout_s));
     // Newest wins in a live graph: a second request would push aside the one that the network has not begun with.
     if tracks.iter().any(waiting) {
         return Vec::new();
@@ -61,6 +104,9 @@ pub(crate) fn wanted(tracks: &[Track], now_ns: i64, config: &TrackingConfig) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tests::{found, object, picture, step, truth};
+    use crate::{Correction, CorrectionKind};
+    use pseudoflow_geometry::rotation_angle_rad;
 
     #[test]
     fn the_next_looks_are_asked_for_when_the_last_have_come() {
@@ -82,5 +128,40 @@ mod tests {
         assert!(wanted(&[asked.clone(), disputed.clone()], now, &config).is_empty());
         let given_up = Track { asked_ns: Some(now - s(2.0)), ..asked };
         assert_eq!(wanted(&[given_up, disputed], now, &config)[0], 1);
+    }
+
+    /// A tracker whose object was found in frame 0 at two poses, after so many frames.
+    fn found_and_waiting(frames: u64, poses: [Pose; 2]) -> Tracker {
+        let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
+        tracker.expect_looks();
+        assert_eq!(tracker.missing(), [4]);
+        let news = poses.map(|camera_from_object| Correction { camera_from_object, ..found(0) });
+        for i in 0..frames {
+            step(&mut tracker, i, &picture(i, false), if i == 0 { &news } else { &[] });
+        }
+        tracker
+    }
+
+    #[test]
+    fn what_waits_for_a_look_is_not_searched_for_until_the_look_says_no() {
+        let wrong = [1.2, -1.2].map(|y| truth(0) * Pose::rotation([0.0, y, 0.0].into()));
+        let mut tracker = found_and_waiting(4, wrong);
+        assert!(tracker.missing().is_empty(), "it will be looked at");
+        assert!(!tracker.ask().is_empty());
+        assert!(tracker.missing().is_empty(), "it is being looked at");
+        let kind = CorrectionKind::Look { accepted: false, score: 0.05 };
+        let no = Correction { frame: 3, camera_from_object: wrong[0], kind, ..found(3) };
+        step(&mut tracker, 4, &picture(4, false), &[no]);
+        assert_eq!(tracker.missing(), [4]);
+    }
+
+    #[test]
+    fn a_look_begins_where_what_was_found_is_now() {
+        let turned = Pose::rotation([0.0, 0.0, 1.5].into());
+        let looks = found_and_waiting(8, [truth(0), truth(0) * turned]).ask();
+        assert_eq!(looks.len(), 2, "{looks:?}");
+        let there = truth(7) * turned;
+        assert!(rotation_angle_rad(&looks[1].camera_from_object, &there) < 0.05);
+        assert!(rotation_angle_rad(&(truth(0) * turned), &there) > 0.1, "it has moved");
     }
 }

@@ -31,7 +31,7 @@ pub(crate) fn truth(frame: u64) -> Pose {
 }
 
 /// The frame; `hidden` puts a grey card before all but the left third of the image.
-fn picture(frame: u64, hidden: bool) -> RgbImage {
+pub(crate) fn picture(frame: u64, hidden: bool) -> RgbImage {
     let wall = RgbImage::from_fn(320, 240, |x, y| {
         let v = (40 + (x / 9 * 37 + y / 7 * 53) % 60) as u8;
         [v, v / 2 + 60, 150 - v].into()
@@ -57,7 +57,7 @@ pub(crate) fn step(tracker: &mut Tracker, index: u64, rgb: &RgbImage, correction
 }
 
 /// What a search finds in a frame: a rough pose.
-fn found(frame: u64) -> Correction {
+pub(crate) fn found(frame: u64) -> Correction {
     let off = Vector6::new(0.003, -0.002, 0.008, 0.04, -0.05, 0.03);
     let camera_from_object = retract(&truth(frame), &off);
     Correction { object_id: 4, frame, camera_from_object, kind: CorrectionKind::Found }
@@ -224,20 +224,20 @@ fn looks_at_what_is_hidden_say_nothing() {
 }
 
 #[test]
-fn all_poses_that_something_was_found_at_are_looked_at() {
+fn all_poses_that_something_was_found_at_are_looked_at_but_no_two_alike() {
     let mut tracker = Tracker::new(vec![object().clone()], TrackingConfig::default()).unwrap();
     tracker.expect_looks();
     let turned = |by: f64| {
         let off = Vector6::new(0.0, 0.0, 0.0, 0.0, by, 0.0);
         Correction { camera_from_object: retract(&truth(0), &off), ..found(0) }
     };
-    step(&mut tracker, 0, &picture(0, false), &[turned(0.0), turned(1.2), turned(-1.2)]);
+    step(&mut tracker, 0, &picture(0, false), &[turned(0.0), turned(0.1), turned(1.2), turned(-1.2)]);
     let asked = (1..4).find_map(|i| {
         let looks = tracker.ask();
         step(&mut tracker, i, &picture(i, false), &[]);
         (!looks.is_empty()).then_some(looks)
     });
-    assert_eq!(asked.map(|looks| looks.len()), Some(4), "where the contour has led it, and as it was found");
+    assert_eq!(asked.map(|looks| looks.len()), Some(3), "where the contour has led it, and as it was found elsewhere");
 }
 
 #[test]

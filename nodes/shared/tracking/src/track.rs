@@ -3,6 +3,7 @@
 use crate::compare::Retries;
 use crate::evidence::Evidence;
 use crate::history::{History, Velocity};
+use crate::looks::Candidate;
 use crate::texture::{Keyframe, Likeness};
 use nalgebra::Matrix6;
 use pseudoflow_contour::Colours;
@@ -60,8 +61,8 @@ pub(crate) struct Track {
     pub(crate) turns: usize,
     /// Where those at rest say that it is, when this frame does not show it surely.
     pub(crate) resting: Option<Pose>,
-    /// Other poses of what was found, in the last frame: to be looked at once with its own.
-    pub(crate) others: Vec<Pose>,
+    /// Where it was found: to be looked at once, with its own pose.
+    pub(crate) candidates: Vec<Candidate>,
     /// Whether a look has said that its pose is right.
     pub(crate) verified: bool,
     /// What the last look that came said of it: the probability that the look's pose is right.
@@ -106,7 +107,7 @@ impl Track {
             turning: Retries::default(),
             turns: 0,
             resting: None,
-            others: Vec::new(),
+            candidates: Vec::new(),
             verified: false,
             look_score: None,
             disputed: false,

@@ -157,11 +157,11 @@ impl Tracker {
         let Some((frame, now_ns)) = self.last else { return Vec::new() };
         let wanted = self.budget.spend(looks::wanted(&self.tracks, now_ns, &self.config), &self.config);
         let ask = |i: usize| {
+            let poses = self.starts_of_look(i);
             let track = &mut self.tracks[i];
             (track.asked_ns, track.looked_ns) = (Some(now_ns), Some(now_ns));
             let object_id = self.objects[track.object].id;
-            let poses = std::iter::once(track.pose).chain(std::mem::take(&mut track.others));
-            poses.map(|camera_from_object| Look { object_id, camera_from_object }).collect::<Vec<_>>()
+            poses.into_iter().map(move |camera_from_object| Look { object_id, camera_from_object }).collect::<Vec<_>>()
         };
         let looks: Vec<Look> = wanted.into_iter().flat_map(ask).collect();
         if !looks.is_empty() {
@@ -186,10 +186,11 @@ impl Tracker {
         self.tracks.iter().filter(|t| t.known).map(of).collect()
     }
 
-    /// Ids of the objects that should be searched for: never found, or lost.
+    /// Ids of the objects that should be searched for: never found, or lost. What was found and waits for a look is not: searched for
+    /// again, it would keep the network from the others.
     #[must_use]
     pub fn missing(&self) -> Vec<u32> {
-        let gone = |t: &&Track| t.phase != Phase::Tracking;
+        let gone = |t: &&Track| t.phase != Phase::Tracking && !(self.looks_come && self.awaits_look(t));
         self.tracks.iter().filter(gone).map(|t| self.objects[t.object].id).collect()
     }
 }
