@@ -26,6 +26,7 @@ impl Tracker {
         let mut best = own;
         for correction in corrections.iter().filter(|c| c.object_id == id) {
             let search = correction.kind == CorrectionKind::Found;
+            let said = (correction.frame, &correction.camera_from_object);
             let sure = self.tracks[i].phase == Phase::Tracking && self.tracks[i].measured;
             if search && sure && self.tracks[i].known {
                 continue;
@@ -36,9 +37,9 @@ impl Tracker {
             // From frame to frame contour and texture are more exact than a look; over a long gap a look is.
             let exact = !search && self.after_long_gap(now);
             let followed = best.filter(|own| exact && self.follows(i, own));
-            let start = match followed.and_then(|own| self.moved_with(i, &own.pose, correction)) {
+            let start = match followed.and_then(|own| self.moved_with(i, &own.pose, said)) {
                 Some(start) => start,
-                None => self.carried(i, correction, predicted, &now.frame.intrinsics),
+                None => self.carried(i, said, predicted, &now.frame.intrinsics),
             };
             // Where its own motion has brought a look here, its pose is as well known as that of the frame before: from further away
             // the contour would lead it back to what it says itself.
@@ -117,10 +118,10 @@ impl Tracker {
         self.tracks[i].known && own.evidence.seen() >= self.config.min_seen
     }
 
-    /// Where a correction puts an object that was followed since, to where it is now.
-    fn moved_with(&self, i: usize, now: &Pose, correction: &Correction) -> Option<Pose> {
-        let then = self.tracks[i].history.at(correction.frame)?;
-        Some(now * (then.pose.inverse() * correction.camera_from_object))
+    /// Where a pose in an earlier frame is now, as an object moved that was followed since.
+    fn moved_with(&self, i: usize, now: &Pose, (frame, pose): (u64, &Pose)) -> Option<Pose> {
+        let then = self.tracks[i].history.at(frame)?;
+        Some(now * (then.pose.inverse() * pose))
     }
 
     /// What a look says of the track. A look that has moved it far is believed only when it is very sure: from near, right and
@@ -197,26 +198,23 @@ impl Tracker {
         (track.likeness, track.compared_at) = (None, 0);
     }
 
-    /// Where a correction puts its object now: by the object's own motion since, else by that of what is at rest, else as it is.
-    pub(crate) fn carried(
-        &self,
-        track: usize,
-        correction: &Correction,
-        predicted: &[Pose],
-        camera: &Intrinsics,
-    ) -> Pose {
-        if let Some(pose) = self.moved_with(track, &predicted[track], correction) {
-            return pose;
-        }
-        match self.motion_since(correction.frame, predicted, camera) {
-            Some(motion) => motion * correction.camera_from_object,
-            None => correction.camera_from_object,
-        }
+    /// Where a pose of an object in an earlier frame is now: by the object's own motion since, if it was seen then and in the last frame;
+    /// else by that of the scene, since what is only believed to be somewhere may have moved otherwise. As it is where nothing tells.
+    pub(crate) fn carried(&self, i: usize, (frame, pose): (u64, &Pose), now: &[Pose], camera: &Intrinsics) -> Pose {
+        let own = || self.moved_with(i, &now[i], (frame, pose));
+        let scene = || self.motion_since(frame, now, camera).map(|motion| motion * pose);
+        let track = &self.tracks[i];
+        let carried = match track.measured && track.history.at(frame).is_some_and(|then| then.measured) {
+            true => own(),
+            false => scene().or_else(own),
+        };
+        carried.unwrap_or(*pose)
     }
 
-    /// Motion of the scene at rest since a frame; of one object alone where there is no other.
-    pub(crate) fn motion_since(&self, frame: u64, now: &[Pose], camera: &Intrinsics) -> Option<Pose> {
-        let bodies: Vec<Body> = self.bodies(frame, now, |_| true).into_iter().flatten().collect();
+    /// Motion of the scene at rest since a frame, as the objects show it that are followed; of one alone where there is no other.
+    fn motion_since(&self, frame: u64, now: &[Pose], camera: &Intrinsics) -> Option<Pose> {
+        let followed = |i: usize| self.tracks[i].phase == Phase::Tracking;
+        let bodies: Vec<Body> = self.bodies(frame, now, followed).into_iter().flatten().collect();
         motion_of(&bodies, camera)
     }
 
@@ -362,10 +360,9 @@ mod tests {
         let tracker = started(12);
         let then = tracker.tracks[0].history.at(8).unwrap().pose;
         let (away, now) = (Pose::translation(0.0, 0.0, 0.01), tracker.tracks[0].pose);
-        let kind = CorrectionKind::Look { accepted: true, score: 0.9 };
-        let look = Correction { object_id: 4, frame: 8, camera_from_object: then * away, kind };
-        let here = tracker.moved_with(0, &now, &look).unwrap();
+        let seen = then * away;
+        let here = tracker.moved_with(0, &now, (8, &seen)).unwrap();
         assert!((here.inverse() * (now * away)).translation.vector.norm() < 1e-9);
-        assert!(tracker.moved_with(0, &now, &Correction { frame: 99, ..look }).is_none());
+        assert!(tracker.moved_with(0, &now, (99, &seen)).is_none());
     }
 }

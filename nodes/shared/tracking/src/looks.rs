@@ -29,8 +29,9 @@ impl Tracker {
     /// Where a look at an object begins: where it is followed, and where else it was found, brought to the last frame.
     pub(crate) fn starts_of_look(&mut self, i: usize) -> Vec<Pose> {
         let mut poses = vec![self.tracks[i].pose];
-        for candidate in std::mem::take(&mut self.tracks[i].candidates) {
-            let here = self.brought_here(&candidate);
+        let now: Vec<Pose> = self.tracks.iter().map(|t| t.pose).collect();
+        for Candidate { frame, pose } in std::mem::take(&mut self.tracks[i].candidates) {
+            let here = self.camera.map_or(pose, |(_, camera)| self.carried(i, (frame, &pose), &now, &camera));
             if !poses.iter().any(|pose| self.apart(i, pose, &here).is_within(SAME_LOOK)) {
                 poses.push(here);
             }
@@ -42,13 +43,6 @@ impl Tracker {
     pub(crate) fn awaits_look(&self, track: &Track) -> bool {
         let asked = |ns: i64| self.last.is_some_and(|(_, now_ns)| is_within(ns, now_ns, self.config.look_timeout_s));
         track.known && (!track.candidates.is_empty() || track.asked_ns.is_some_and(asked))
-    }
-
-    /// A candidate as the scene has moved since; as it was found where nothing tells.
-    fn brought_here(&self, candidate: &Candidate) -> Pose {
-        let poses: Vec<Pose> = self.tracks.iter().map(|t| t.pose).collect();
-        let motion = self.camera.and_then(|(_, intrinsics)| self.motion_since(candidate.frame, &poses, &intrinsics));
-        motion.map_or(candidate.pose, |motion| motion * candidate.pose)
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::measure::{Measurer, Subject};
 use crate::testing::spotted;
 use crate::texture::{Maker, Pyramid};
+use crate::track::Track;
 use crate::{Correction, CorrectionKind, Frame, FrameProblem, KnownObject, Phase, Step, Tracker, TrackingConfig};
 use nalgebra::{Vector3, Vector6};
 use pseudoflow_contour::{ContourModel, Image, ModelSettings, retract};
@@ -119,11 +120,21 @@ fn what_is_hidden_is_held_and_lost_after_a_while() {
 #[test]
 fn what_was_found_earlier_is_carried_to_the_present() {
     let tracker = started(15);
-    let mut look = found(9);
-    look.camera_from_object = truth(9);
     let before = tracker.tracks[0].pose;
-    let carried = tracker.carried(0, &look, &[before], &K);
+    let carried = tracker.carried(0, (9, &truth(9)), &[before], &K);
     assert!((carried.translation.vector - truth(14).translation.vector).norm() < 0.03 * DIAMETER_M);
+}
+
+#[test]
+fn what_is_not_seen_is_carried_as_the_scene_moved() {
+    let mut tracker = started(15);
+    // A second object, believed to be where it was, that has not been seen since.
+    let lost = Track { known: true, measured: false, phase: Phase::Lost, ..tracker.tracks[0].clone() };
+    tracker.tracks.push(lost);
+    let (now, still) = (tracker.tracks[0].pose, tracker.tracks[0].history.at(9).unwrap().pose);
+    let beside = Pose::translation(0.1, 0.0, 0.0);
+    let carried = tracker.carried(1, (9, &(still * beside)), &[now, still], &K);
+    assert!((carried.inverse() * (now * beside)).translation.vector.norm() < 1e-6, "{carried}");
 }
 
 #[test]
