@@ -22,7 +22,7 @@ pub(crate) struct Candidate {
     pub(crate) pose: Pose,
 }
 
-/// Poses of which one look is enough: it leads from either to the same.
+/// Poses of which one look is enough, diameters and radians: the search's views are further apart, and a look leads from there.
 const SAME_LOOK: Apart = Apart { diameters: 0.15, rad: 0.26 };
 
 impl Tracker {
@@ -39,7 +39,7 @@ impl Tracker {
         poses
     }
 
-    /// Whether a look at where it was found is still to come.
+    /// Whether a look at an object that was found is still to come.
     pub(crate) fn awaits_look(&self, track: &Track) -> bool {
         let asked = |ns: i64| self.last.is_some_and(|(_, now_ns)| is_within(ns, now_ns, self.config.look_timeout_s));
         track.known && (!track.candidates.is_empty() || track.asked_ns.is_some_and(asked))
