@@ -2,7 +2,7 @@
 
 use crate::evidence::TELLING;
 use crate::follow::{hiders, subject};
-use crate::looks::Candidate;
+use crate::history::Sighting;
 use crate::measure::Trial;
 use crate::rest::{Body, body, motion_of};
 use crate::track::{Phase, Track};
@@ -26,7 +26,7 @@ impl Tracker {
         let mut best = own;
         for correction in corrections.iter().filter(|c| c.object_id == id) {
             let search = correction.kind == CorrectionKind::Found;
-            let said = (correction.frame, &correction.camera_from_object);
+            let said = Sighting { frame: correction.frame, pose: correction.camera_from_object };
             let sure = self.tracks[i].phase == Phase::Tracking && self.tracks[i].measured;
             if search && sure && self.tracks[i].known {
                 continue;
@@ -37,9 +37,9 @@ impl Tracker {
             // From frame to frame contour and texture are more exact than a look; over a long gap a look is.
             let exact = !search && self.after_long_gap(now);
             let followed = best.filter(|own| exact && self.follows(i, own));
-            let start = match followed.and_then(|own| self.moved_with(i, &own.pose, said)) {
+            let start = match followed.and_then(|own| self.moved_with(i, &own.pose, &said)) {
                 Some(start) => start,
-                None => self.carried(i, said, predicted, &now.frame.intrinsics),
+                None => self.carried(i, &said, predicted, &now.frame.intrinsics),
             };
             // Where its own motion has brought a look here, its pose is as well known as that of the frame before: from further away
             // the contour would lead it back to what it says itself.
@@ -86,7 +86,7 @@ impl Tracker {
     fn consider(&mut self, i: usize, now: &Now<'_>, pose: Pose) {
         let candidates = &mut self.tracks[i].candidates;
         if candidates.len() < MOST_CANDIDATES {
-            candidates.push(Candidate { frame: now.frame.index, pose });
+            candidates.push(Sighting { frame: now.frame.index, pose });
         }
     }
 
@@ -119,9 +119,9 @@ impl Tracker {
     }
 
     /// Where a pose in an earlier frame is now, as an object moved that was followed since.
-    fn moved_with(&self, i: usize, now: &Pose, (frame, pose): (u64, &Pose)) -> Option<Pose> {
-        let then = self.tracks[i].history.at(frame)?;
-        Some(now * (then.pose.inverse() * pose))
+    fn moved_with(&self, i: usize, now: &Pose, seen: &Sighting) -> Option<Pose> {
+        let then = self.tracks[i].history.at(seen.frame)?;
+        Some(now * (then.pose.inverse() * seen.pose))
     }
 
     /// What a look says of the track. A look that has moved it far is believed only when it is very sure: from near, right and
@@ -200,15 +200,15 @@ impl Tracker {
 
     /// Where a pose of an object in an earlier frame is now: by the object's own motion since, if it was seen then and in the last frame;
     /// else by that of the scene, since what is only believed to be somewhere may have moved otherwise. As it is where nothing tells.
-    pub(crate) fn carried(&self, i: usize, (frame, pose): (u64, &Pose), now: &[Pose], camera: &Intrinsics) -> Pose {
-        let own = || self.moved_with(i, &now[i], (frame, pose));
-        let scene = || self.motion_since(frame, now, camera).map(|motion| motion * pose);
+    pub(crate) fn carried(&self, i: usize, seen: &Sighting, now: &[Pose], camera: &Intrinsics) -> Pose {
+        let own = || self.moved_with(i, &now[i], seen);
+        let scene = || self.motion_since(seen.frame, now, camera).map(|motion| motion * seen.pose);
         let track = &self.tracks[i];
-        let carried = match track.measured && track.history.at(frame).is_some_and(|then| then.measured) {
+        let carried = match track.measured && track.history.at(seen.frame).is_some_and(|then| then.measured) {
             true => own(),
             false => scene().or_else(own),
         };
-        carried.unwrap_or(*pose)
+        carried.unwrap_or(seen.pose)
     }
 
     /// Motion of the scene at rest since a frame, as the objects show it that are followed; of one alone where there is no other.
@@ -360,9 +360,9 @@ mod tests {
         let tracker = started(12);
         let then = tracker.tracks[0].history.at(8).unwrap().pose;
         let (away, now) = (Pose::translation(0.0, 0.0, 0.01), tracker.tracks[0].pose);
-        let seen = then * away;
-        let here = tracker.moved_with(0, &now, (8, &seen)).unwrap();
+        let seen = Sighting { frame: 8, pose: then * away };
+        let here = tracker.moved_with(0, &now, &seen).unwrap();
         assert!((here.inverse() * (now * away)).translation.vector.norm() < 1e-9);
-        assert!(tracker.moved_with(0, &now, (99, &seen)).is_none());
+        assert!(tracker.moved_with(0, &now, &Sighting { frame: 99, ..seen }).is_none());
     }
 }

@@ -10,6 +10,13 @@ const SMALL_S: f64 = 0.01;
 /// Frames that are remembered: a search may take ten seconds.
 const FRAMES: usize = 600;
 
+/// Where others say that an object was in a frame, `camera_from_object`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sighting {
+    pub(crate) frame: u64,
+    pub(crate) pose: Pose,
+}
+
 /// An object in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Moment {

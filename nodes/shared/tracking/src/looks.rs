@@ -15,13 +15,6 @@ pub struct Look {
     pub camera_from_object: Pose,
 }
 
-/// Where a search has found an object, `camera_from_object` in a frame.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Candidate {
-    pub(crate) frame: u64,
-    pub(crate) pose: Pose,
-}
-
 /// Poses of which one look is enough, diameters and radians: the search's views are further apart, and a look leads from there.
 const SAME_LOOK: Apart = Apart { diameters: 0.15, rad: 0.26 };
 
@@ -30,8 +23,8 @@ impl Tracker {
     pub(crate) fn starts_of_look(&mut self, i: usize) -> Vec<Pose> {
         let mut poses = vec![self.tracks[i].pose];
         let now: Vec<Pose> = self.tracks.iter().map(|t| t.pose).collect();
-        for Candidate { frame, pose } in std::mem::take(&mut self.tracks[i].candidates) {
-            let here = self.camera.map_or(pose, |(_, camera)| self.carried(i, (frame, &pose), &now, &camera));
+        for found in std::mem::take(&mut self.tracks[i].candidates) {
+            let here = self.camera.map_or(found.pose, |(_, camera)| self.carried(i, &found, &now, &camera));
             if !poses.iter().any(|pose| self.apart(i, pose, &here).is_within(SAME_LOOK)) {
                 poses.push(here);
             }
@@ -41,8 +34,8 @@ impl Tracker {
 
     /// Whether a look at an object that was found is still to come.
     pub(crate) fn awaits_look(&self, track: &Track) -> bool {
-        let asked = |ns: i64| self.last.is_some_and(|(_, now_ns)| is_within(ns, now_ns, self.config.look_timeout_s));
-        track.known && (!track.candidates.is_empty() || track.asked_ns.is_some_and(asked))
+        let asked = self.last.is_some_and(|(_, now_ns)| is_asked(track, now_ns, &self.config));
+        track.known && (!track.candidates.is_empty() || asked)
     }
 }
 
@@ -67,16 +60,16 @@ impl Budget {
     }
 }
 
-fn is_within(then_ns: i64, now_ns: i64, seconds: f64) -> bool {
-    ((now_ns - then_ns) as f64) < seconds * 1e9
+/// Whether an answer to a look may still come.
+fn is_asked(track: &Track, now_ns: i64, config: &TrackingConfig) -> bool {
+    track.asked_ns.is_some_and(|ns| (now_ns - ns) as f64 * 1e-9 < config.look_timeout_s)
 }
 
 /// The tracks to be looked at in this frame, the most urgent first.
 pub(crate) fn wanted(tracks: &[Track], now_ns: i64, config: &TrackingConfig) -> Vec<usize> {
     let since = |ns: Option<i64>| ns.map_or(f64::INFINITY, |ns| (now_ns - ns) as f64 * 1e-9);
-    let waiting = |t: &Track| t.asked_ns.is_some_and(|ns| is_within(ns, now_ns, config.look_timeout_s));
     // Newest wins in a live graph: a second request would push aside the one that the network has not begun with.
-    if tracks.iter().any(waiting) {
+    if tracks.iter().any(|t| is_asked(t, now_ns, config)) {
         return Vec::new();
     }
     let urgency = |t: &Track| {

@@ -1,5 +1,6 @@
 //! A spotted box before a busy wall, rendered: its truth is known.
 
+use crate::history::Sighting;
 use crate::measure::{Measurer, Subject};
 use crate::testing::spotted;
 use crate::texture::{Maker, Pyramid};
@@ -121,7 +122,7 @@ fn what_is_hidden_is_held_and_lost_after_a_while() {
 fn what_was_found_earlier_is_carried_to_the_present() {
     let tracker = started(15);
     let before = tracker.tracks[0].pose;
-    let carried = tracker.carried(0, (9, &truth(9)), &[before], &K);
+    let carried = tracker.carried(0, &Sighting { frame: 9, pose: truth(9) }, &[before], &K);
     assert!((carried.translation.vector - truth(14).translation.vector).norm() < 0.03 * DIAMETER_M);
 }
 
@@ -133,7 +134,7 @@ fn what_is_not_seen_is_carried_as_the_scene_moved() {
     tracker.tracks.push(lost);
     let (now, still) = (tracker.tracks[0].pose, tracker.tracks[0].history.at(9).unwrap().pose);
     let beside = Pose::translation(0.1, 0.0, 0.0);
-    let carried = tracker.carried(1, (9, &(still * beside)), &[now, still], &K);
+    let carried = tracker.carried(1, &Sighting { frame: 9, pose: still * beside }, &[now, still], &K);
     assert!((carried.inverse() * (now * beside)).translation.vector.norm() < 1e-6, "{carried}");
 }
 

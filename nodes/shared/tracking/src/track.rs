@@ -2,8 +2,7 @@
 
 use crate::compare::Retries;
 use crate::evidence::Evidence;
-use crate::history::{History, Velocity};
-use crate::looks::Candidate;
+use crate::history::{History, Sighting, Velocity};
 use crate::texture::{Keyframe, Likeness};
 use nalgebra::Matrix6;
 use pseudoflow_contour::Colours;
@@ -62,7 +61,7 @@ pub(crate) struct Track {
     /// Where those at rest say that it is, when this frame does not show it surely.
     pub(crate) resting: Option<Pose>,
     /// Where it was found: to be looked at once, with its own pose.
-    pub(crate) candidates: Vec<Candidate>,
+    pub(crate) candidates: Vec<Sighting>,
     /// Whether a look has said that its pose is right.
     pub(crate) verified: bool,
     /// What the last look that came said of it: the probability that the look's pose is right.
